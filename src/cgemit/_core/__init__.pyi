@@ -396,6 +396,7 @@ def covariances(
     scatters: npt.ArrayLike,
     samples: int,
     phases: npt.ArrayLike,
+    efficiencies: npt.ArrayLike = ...,
     model: dict[str, Any],
     budget: bool,
     hits: bool = False,

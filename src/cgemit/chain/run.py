@@ -47,7 +47,7 @@ from cgemit.detector.drift import check_wire_times
 from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
-from cgemit.reconstruction.cluster import cluster, clusterer_of
+from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
 from cgemit.reconstruction.find import FINDERS, Truths
 from cgemit.reconstruction.reconstruct import turns
 from cgemit.reconstruction.refine import Hits
@@ -316,6 +316,8 @@ def _checked(
     if output is not None:
         found.collect(check_format, output.format)
     found.report("run")
+    if until in STAGES[2:]:
+        warn_of_losses(simulated, given.digitize.readout)
     shooter, n_events, table = source
     return Job(simulated, assumed, shooter, table, given, seed, finder, until, kept), n_events
 

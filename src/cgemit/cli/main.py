@@ -10,6 +10,7 @@ import re
 import shlex
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from typing import cast
 
@@ -99,7 +100,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # "?" where the encoding has no "±", rather than no result
     if "_ARGCOMPLETE" in os.environ:
         complete(build_parser(*os.environ["COMP_LINE"].split()[1:2]))
-    return _run(list(sys.argv[1:] if argv is None else argv))
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: say(f"cgemit: {message}", sys.stderr)
+        return _run(list(sys.argv[1:] if argv is None else argv))
 
 
 def _run(argv: list[str]) -> int:

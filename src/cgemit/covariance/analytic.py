@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from cgemit.covariance.tracks import (
     Quantity,
     Sample,
     Tracks,
+    efficiencies_of,
     mean,
     near_ends,
     points_of,
@@ -26,11 +27,12 @@ from cgemit.covariance.tracks import (
     status_of,
 )
 from cgemit.detector import Detector, load
+from cgemit.detector.gas import most_lost
 from cgemit.detector.keys import once
 from cgemit.detector.parts import DriftChamber
 from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
-from cgemit.reconstruction.cluster import clusterer_of
+from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
 from cgemit.reconstruction.cluster_errors import COS_THETA
 from cgemit.reconstruction.fit import FitSettings, FitStatus, compiled_for_fit
 from cgemit.reconstruction.states import StateStatus, Surface, shares_inside
@@ -199,6 +201,7 @@ def covariance_at(
     ValueError
         If the read-out has no expected errors.
     """
+    warn_of_losses(detector, digitize.readout)
     at_origin = bool(np.all(np.isnan(points.radius)))
     hits = _hit_model(detector, digitize.readout, digitize.reveal_sides, fit)
     sample, tracks = _tracks(points, detector, hits, fit, threads, at_origin)
@@ -221,37 +224,59 @@ def entries_with(points: Points, detector: Detector, sigma_x: Floats, sigma_v: F
     return _entries(points, detector, hits, fit)
 
 
-def _entries(points: Points, detector: Detector, hits: tuple[HitModel, bool], fit: FitSettings) -> Entries:
+def _entries(points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings) -> Entries:
     sample, tracks = _tracks(points, detector, hits, fit, 1, True)
     out = tracks.run(budget=False)
     return Entries(sample, out["covariance"], out["status"])
 
 
 def _tracks(
-    points: Points, detector: Detector, hits: tuple[HitModel, bool], fit: FitSettings, threads: int | None,
+    points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings, threads: int | None,
     at_origin: bool,
 ) -> tuple[Sample, Tracks]:  # fmt: skip
     """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
-    model, varies = hits
-    number = points.samples or (128 if varies or points.vary else 1)
+    number = points.samples or (128 if hits.vary or points.vary else 1)
     sample = sample_of(points, number, len(detector.cgem))
     scatter = number > 1 and at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
-        detector, fit, model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64), number,
-        sample.phases, threads,
+        detector, fit, hits.model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64),
+        number, sample.phases, threads,
+        efficiencies_of(detector, hits.least_electrons, sample.kappa, sample.tanl, sample.mass),
     )  # fmt: skip
     return sample, tracks
 
 
-def _hit_model(detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings) -> tuple[HitModel, bool]:
-    """Return how hits are expected, and whether they vary among tracks of the same direction."""
-    return _with_errors(detector, _errors(readout, detector), sides_known, fit)
+#: Probability of no clusters above which tracks of the same direction are sampled.
+_SAMPLED_LOSS = 1e-3
+
+
+class ExpectedHits(NamedTuple):
+    """How hits are expected.
+
+    Attributes
+    ----------
+    model : dict
+    vary : bool
+        Whether they vary among tracks of the same direction.
+    least_electrons : int
+        See `Readout.least_electrons`.
+    """
+
+    model: HitModel
+    vary: bool
+    least_electrons: int
+
+
+def _hit_model(detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings) -> ExpectedHits:
+    """Return how hits of a read-out are expected."""
+    least = readout.least_electrons
+    return _with_errors(detector, _errors(readout, detector), sides_known, fit, least)
 
 
 def _with_errors(
-    detector: Detector, errors: tuple[Floats, Floats, Floats], sides_known: bool, fit: FitSettings
-) -> tuple[HitModel, bool]:
+    detector: Detector, errors: tuple[Floats, Floats, Floats], sides_known: bool, fit: FitSettings, least: int = 0
+) -> ExpectedHits:
     """Return the same for clusters with errors as of `_errors`."""
     sigma_x, sigma_v, corr_xv = errors
     by_angle = max(one.shape[1] for one in (sigma_x, sigma_v, corr_xv)) > 1
@@ -264,7 +289,8 @@ def _with_errors(
         "corr_xv": corr_xv.ravel().tolist(), "least_width": fit.least_width, "delta_strips": fit.delta_strips,
         "sides_known": sides_known, "seed": 0, "prior_sigma": fit.prior_sigma,
     }  # fmt: skip
-    return model, not (np.all(sigma_x > 0) and np.all(sigma_v > 0)) or _inefficient(detector)
+    lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.cgem)
+    return ExpectedHits(model, lost or not (np.all(sigma_x > 0) and np.all(sigma_v > 0)), least)
 
 
 def _result(

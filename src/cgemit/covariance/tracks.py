@@ -18,6 +18,7 @@ from cgemit.analysis.widths import SECOND_INSIDE
 from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.validate import check_whole
 from cgemit.detector import Detector
+from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
 from cgemit.detector.keys import Part, once
 from cgemit.detector.parts import DriftChamber
 from cgemit.helix import RADIUS_PER_KAPPA
@@ -48,6 +49,7 @@ class Tracks:
     samples: int
     phases: Floats
     threads: int | None
+    efficiencies: Floats  # (tracks, layers) probability of clusters; (0,): they are certain
 
     def run(
         self, budget: bool, variants: Sequence[_core.Detector] = (), hits: bool = False
@@ -73,7 +75,8 @@ class Tracks:
             found: dict[str, Any] = _core.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
                 scatters=self.scatters[rows],
-                samples=self.samples, phases=self.phases, model=self.model, budget=budget, hits=hits,
+                samples=self.samples, phases=self.phases,
+                efficiencies=self.efficiencies[rows], model=self.model, budget=budget, hits=hits,
                 variants=list(variants),
             )  # fmt: skip
             if hits:
@@ -89,6 +92,34 @@ class Tracks:
             parts = list(pool.map(part, starts))
         axis = 1 if variants else 0
         return {name: np.concatenate([one[name] for one in parts], axis=axis) for name in parts[0]}
+
+
+#: Largest probability of no clusters that is left out.
+_LEAST_LOSS = 1e-6
+
+
+def efficiencies_of(detector: Detector, least: int, kappa: Floats, tanl: Floats, mass: Floats) -> Floats:
+    """Return the probability that tracks from the origin have clusters, (tracks, layers) or, if they are certain, (0,).
+
+    The path through a gap is that of the direction in its middle, on a circle in the field at the origin.
+
+    Parameters
+    ----------
+    detector : Detector
+    least : int
+        See `Readout.least_electrons`.
+    kappa, tanl, mass : ndarray, (tracks,) float64, (GeV/c)^-1, 1 and GeV/c2
+    """
+    if all(most_lost(layer, least) < _LEAST_LOSS for layer in detector.cgem):
+        return np.zeros(0)
+    slant = np.hypot(1.0, tanl)
+    ln_betagamma = np.log(slant / np.abs(kappa) / mass)
+    found = np.ones((len(kappa), len(detector.cgem)))
+    for number, layer in enumerate(detector.cgem):
+        sine = np.minimum(0.5 * layer.r_mid * np.abs(detector.field.bz * kappa) / RADIUS_PER_KAPPA, 0.99)
+        path = layer.drift_gap * slant / np.sqrt(1 - sine * sine)
+        found[:, number] = enough_electrons(layer.gas, clusters_per_mm(layer.gas, ln_betagamma) * path, least)
+    return found
 
 
 #: Of the half length: scatters move tracks by less than a fifth of it.

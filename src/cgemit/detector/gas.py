@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cgemit import _core
 from cgemit.base.errors import Problems, refuse
 from cgemit.detector.detector import Detector
+from cgemit.detector.keys import once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, Shell
 
@@ -100,6 +101,43 @@ def clusters_per_mm(gas: Material, ln_betagamma: Floats) -> Floats:
     lowest = table.betagamma[0]
     per_beta2 = (1 + np.exp(-2 * ln_betagamma)) / (1 + lowest**-2)
     return inside * np.where(ln_betagamma < math.log(lowest), per_beta2, 1.0) * _ratio(gas, table)
+
+
+def enough_electrons(gas: Material, ionizations: Floats, least: int) -> Floats:
+    """Return the probability, shape of `ionizations`, that a particle sets free some number of electrons or more.
+
+    The number of ionizations is a Poisson number, that of electrons of each has the sizes of the gas's table. The
+    distribution of the sum follows by recursion: P(j) = n/j sum_i i s(i) P(j - i) (Panjer, ASTIN Bull. 12 (1981) 22).
+
+    Parameters
+    ----------
+    gas : Material
+    ionizations : ndarray, float64
+        Their mean number n.
+    least : int
+        Larger ones than the sizes that the table lists count as one more than these.
+    """
+    table = ionization_of(gas)
+    listed = len(table.sizes) - len(table.tail) + 1
+    single = np.diff(table.sizes[:listed], prepend=0.0)
+    fewer = [np.exp(-ionizations)]
+    for j in range(1, min(least, listed + 1)):
+        fewer.append(ionizations / j * sum(i * single[i - 1] * fewer[j - i] for i in range(1, j + 1)))
+    return np.asarray(1 - sum(fewer)) if least > 0 else np.ones_like(ionizations)
+
+
+@once
+def most_lost(layer: CgemLayer, least: int) -> float:
+    """Return the probability that a minimum ionizing particle straight across a gap has too few electrons.
+
+    Parameters
+    ----------
+    layer : CgemLayer
+    least : int
+        See `enough_electrons`.
+    """
+    lowest = float(clusters_per_mm(layer.gas, np.log(ionization_of(layer.gas).betagamma)).min())
+    return 1 - float(enough_electrons(layer.gas, np.array(lowest * layer.drift_gap), least))
 
 
 DEFAULT_IONIZATION = "ar-ic4h10-90-10"

@@ -38,6 +38,7 @@ GAIN = 12_000.0
 SURVIVAL = 0.957 * 0.962
 """An electron enters a hole of the first foil, and its gain is not zero (PARSIFAL, at the nominal voltage)."""
 
+_ELECTRON = 1.602176634e-4  # fC
 _FINE = 0.01  # ns, step in which peaks are searched
 
 
@@ -46,6 +47,11 @@ class Readout(SettingsData):
     """Description of a read-out: a frozen dataclass of settings. `READOUTS` finds it by its name."""
 
     name: ClassVar[str]
+
+    @property
+    def least_electrons(self) -> int:
+        """Electrons of ionization in a gap below which a crossing has no clusters; 0: clusters need none."""
+        return 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +75,11 @@ class BinaryReadout(Readout):
 
     gain: Gain = GAIN
     threshold: NotNegative = 1.7
+
+    @property
+    def least_electrons(self) -> int:
+        """Electrons whose charge reaches the threshold."""
+        return math.ceil(min(self.threshold / (self.gain * _ELECTRON), 1e6))  # beyond any gap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +106,11 @@ class GaussianReadout(Readout):
     sigma_x: Width = 0.1387
     sigma_v: Width = 0.1327
     gain: Gain = GAIN
+
+    @property
+    def least_electrons(self) -> int:
+        """0: positions need no ionization."""
+        return 0
 
 
 @dataclass(frozen=True, kw_only=True)

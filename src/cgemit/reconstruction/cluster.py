@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
 from cgemit.detector import Detector, load
+from cgemit.detector.gas import most_lost
 from cgemit.detector.readouts import (
     READOUTS,
     AnalogReadout,
@@ -69,6 +71,32 @@ def calibrated_clusterer(readout: CalibratedReadout) -> CalibratedClusterer:
     if not isinstance(clusterer, CalibratedClusterer):
         raise ValueError(f"readout: got {readout.name!r}, expected one of {names_of(CalibratedReadout)}")
     return clusterer
+
+
+#: Probability of no clusters above which a layer is worth a warning.
+_LOSS_OF_A_WARNING = 0.01
+
+
+def warn_of_losses(detector: Detector, readout: Readout) -> None:
+    """Warn of layers whose gaps are so thin that crossings have no clusters for lack of electrons.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : Readout
+    """
+    lost = {layer: most_lost(layer, readout.least_electrons) for layer in detector.cgem}
+    thin = [
+        f"{layer.label} {loss:.0%} (drift_gap {layer.drift_gap:g} mm)"
+        for layer, loss in lost.items()
+        if loss > _LOSS_OF_A_WARNING
+    ]
+    if thin:
+        warnings.warn(
+            f"{detector.name}: crossings without clusters of read-out {readout.name}, for lack of "
+            f"ionization: {', '.join(thin)}; read-out gaussian needs none",
+            stacklevel=3,
+        )
 
 
 def cluster(

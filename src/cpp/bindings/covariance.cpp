@@ -49,8 +49,9 @@ py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detect
 
 py::dict run_covariances(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
                          const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
-                         std::size_t samples, const Array<double>& phases, const py::dict& model_values,
-                         bool budget, bool hits, const std::vector<const Detector*>& variants) {
+                         std::size_t samples, const Array<double>& phases, const Array<double>& efficiencies,
+                         const py::dict& model_values, bool budget, bool hits,
+                         const std::vector<const Detector*>& variants) {
   const HitModel model = hit_model(model_values);
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
@@ -72,6 +73,9 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                               .scatters = column(scatters, "scatters", n),
                               .samples = samples,
                               .phases = matrix(phases, "phases", static_cast<py::ssize_t>(samples), views),
+                              .efficiencies = efficiencies.size() == 0
+                                                  ? std::span<const double>()
+                                                  : matrix(efficiencies, "efficiencies", n, views / 2),
                               .variants = variants};
   const BudgetTerms names(detector);
   std::vector<CovarianceRow> rows(static_cast<std::size_t>(n) * (1 + variants.size()));
@@ -110,8 +114,8 @@ void bind_covariance(py::module_& module) {
   module.def(
       "covariances", &run_covariances, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
       py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),
-      py::arg("model"), py::arg("budget"), py::arg("hits") = false,
-      py::arg("variants") = std::vector<const Detector*>(),
+      py::arg_v("efficiencies", Array<double>(0), "..."), py::arg("model"), py::arg("budget"),
+      py::arg("hits") = false, py::arg("variants") = std::vector<const Detector*>(),
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
       "expected hits of all tracks (X, V - k x, or signed distance from a wire, mm; variance, mm2). Rows of "

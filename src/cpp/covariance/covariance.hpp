@@ -23,19 +23,21 @@ struct HitModel {
   std::vector<double> corr_xv;       // of the errors of X and V of each CGEM layer, where these are given
   double least_width, delta_strips;  // as in the fit
   bool sides_known;                  // whether a wire hit tells its side
-  std::uint64_t seed;                // of wire efficiencies
+  std::uint64_t seed;                // of the hits that are lost
   std::array<double, 5> prior_sigma;
 };
 
 // Tracks from the origin. `samples` tracks in a row belong to one point; they share its entry of the budget.
 // `phases`: for each of the samples a number from 0 to 1 for X and V of every CGEM layer, which determines
 // where the strips lie under the path. `scatters`: 1 for tracks whose trajectory scatters, by angles that
-// belong to the sample; 0 for tracks on the expected trajectory. `variants`: detectors for which the same
-// tracks are computed again with the hits of the first detector (the same strips and cells), for differences.
+// belong to the sample; 0 for tracks on the expected trajectory. `efficiencies`: for each track and CGEM
+// layer the probability that its crossing has clusters; empty: they all have. `variants`: detectors for which
+// the same tracks are computed again with the hits of the first detector (the same strips and cells), for
+// differences.
 struct CovarianceInput {
   std::span<const double> psi, kappa, tanl, mass, scatters;
   std::size_t samples;
-  std::span<const double> phases;
+  std::span<const double> phases, efficiencies;
   std::span<const Detector* const> variants;
 
   std::size_t tracks() const { return psi.size(); }

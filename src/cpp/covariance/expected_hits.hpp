@@ -77,6 +77,7 @@ class ExpectedHits {
       there = there | on;
       each_lane(on, [&](int i) { channel[static_cast<std::size_t>(i)] = sheet; });
     }
+    if (!input_.efficiencies.empty()) there = there & is_efficient(index);
     if (!any(there)) return;
     for (const View view : {View::x, View::v})
       add_cluster(step, view, index, there, edge, phi, at.z).hit = channel;
@@ -228,6 +229,17 @@ class ExpectedHits {
       const Block words =
           stream.block(Purpose::drift_distance, static_cast<std::uint32_t>(layer.number) << 16 | wire);
       set_lane(fired, i, open_unit(words[1]) <= layer.efficiency);
+    }
+    return fired;
+  }
+
+  // Lanes whose crossing of a CGEM layer has clusters: X and V come from the same electrons.
+  Mask is_efficient(std::size_t index) const {
+    Mask fired(false);
+    for (int i = 0; i < lanes_of<T>; ++i) {
+      const Stream stream(model_.seed, sample(i), 0);
+      const double drawn = open_unit(stream.block(Purpose::ionization, static_cast<std::uint32_t>(index))[0]);
+      set_lane(fired, i, drawn <= input_.efficiencies[track(i) * detector_.cgem.size() + index]);
     }
     return fired;
   }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,28 @@ def test_covariance_is_that_of_the_fit(detector: cg.Detector, p: float, cos_thet
     found = cg.analytic(detector, "mu-", p, cos_theta, phi=phi, readout="gaussian", reveal_sides=True)
     scale = np.sqrt(np.diagonal(mean))
     assert np.abs((found.cov - mean) / np.outer(scale, scale)).max() < 0.01
+
+
+@pytest.mark.parametrize(("gap", "threshold"), [(0.1, 1.7), (0.3, 1.7), (1.0, 1.7), (1.0, 8.0), (5.0, 1.7)])
+def test_thin_gaps_lose_hits_as_in_the_simulation(gap: float, threshold: float) -> None:
+    """Without enough electrons there is no cluster of either view; a position needs none."""
+    detector = DESIGN.with_overrides({"cgem.*.drift_gap": f"{gap} mm"})
+    readout, n = cg.BinaryReadout(threshold=threshold), 4096
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = cg.analytic(detector, "mu-", 1.0, (-0.5, 0.5), readout=readout, samples=n)
+        made = cg.run(detector, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), n, 2, readout=readout, until="cluster")
+    assert len(caught) == (2 if gap < 5 else 0)
+    for one in caught:
+        assert "crossings without clusters of read-out binary, for lack of ionization: L1" in str(one.message)
+    every = cg.analytic(detector, "mu-", 1.0, (-0.5, 0.5), readout="gaussian", samples=n)
+    expected = float(found.n_clusters / every.n_clusters)
+    x = made.clusters[made.clusters["view"] == 0]
+    seen = len(np.unique(x["truth"])) / len(made.truths)
+    error = math.sqrt(expected * (1 - expected) * 2 / len(made.truths))
+    assert abs(seen - expected) <= 4 * error + 2e-3  # seams and ends: 0.0015 of the crossings
+    assert float(every.n_clusters) > 5.95
+    assert (expected < 0.35) == (gap == 0.1)
 
 
 # In the beam pipe, in a cathode, in a gap, between wires and outside the last of them.
