@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from itertools import pairwise
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -432,6 +433,33 @@ def test_each_half_turn_draws_numbers_of_its_own():
     energy = energy[np.isfinite(energy).all(axis=1)]
     assert len(energy) > 200
     assert np.abs(np.corrcoef(energy.T)[np.triu_indices(3, 1)]).max() < 4 / math.sqrt(len(energy))
+
+
+@pytest.mark.parametrize("name", cg.isa.available())
+def test_slow_heavy_particles_beside_fast_ones_cost_no_time_and_change_nothing(name):
+    """Lanes of particles that have turned back or stopped drew millions of hard scatters: ten took a minute."""
+    before = cg.isa.name()
+    cg.isa.use(name)
+    try:
+        momenta = np.zeros((10, 3))
+        momenta[::2, 0], momenta[1::2, 0] = 1.1e-6, 9000.0
+        momenta[2, 0] = 0.05  # stops in the beam pipe
+        mixed = particles([0.0, 0, 0], momenta, [5132, 541] * 5)
+        begin = perf_counter()
+        both = simulate(DESIGN, mixed, seed=3)
+        assert perf_counter() - begin < 5
+        fast = mixed[mixed["pdg"] == 541]
+        alone = simulate(DESIGN, fast, seed=3)
+    finally:
+        cg.isa.use(before)
+    assert both["particles"]["status"].tolist()[:3] == [
+        TransportStatus.curled, TransportStatus.outside, TransportStatus.stopped,
+    ]  # fmt: skip
+    for table in ("truths", "steps", "wire_truths"):
+        assert len(alone[table]) > 0
+        for column in ("event", "x", "y", "z"):
+            if column in alone[table].columns:
+                assert np.array_equal(both[table][column], alone[table][column]), (table, column)
 
 
 @pytest.mark.parametrize("isa", cg.isa.available())

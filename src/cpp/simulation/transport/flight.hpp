@@ -183,18 +183,19 @@ class Flight {
         path_factor(slab, sec_lambda_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
     within = within & (whole != 0.0);
     if (!any(within)) return;
-    // The other lanes get a path of nearly zero, so that no lane needs a branch.
-    const T path = select(within, whole, T(1e-6));
+    // The other lanes get a path with nearly no collisions, however slow they are, so that no lane needs a
+    // branch.
+    const T idle = 1e-6 * now_.beta2, path = select(within, whole, idle);
     const LossDraw<T> drawn = lose(slab, path);
     deposit_ = select(within, drawn.deposit, T(0.0));
-    const Mask stops = within & (now_.kinetic() - drawn.loss < least_kinetic);
+    const Mask stops = within & (now_.kinetic() - drawn.loss < stopped_below(now_.mass));
     stopped_ = stopped_ | stops;
     flying_ = flying_ & !stops;
     const Mask acts = within & !stops;
     if (!any(acts)) return;
     const KinematicsOf<T> after = now_.after_loss(select(acts, drawn.loss, T(0.0)));
     HelixPointOf<T> there = point_;
-    scatter(slab, path, after, there);
+    scatter(slab, select(acts, path, idle), after, there);
     // The rest of the proper time stays the same.
     decay_time_ = select(acts, time_ + (decay_time_ - time_) * (after.gamma / now_.gamma), decay_time_);
     now_ = select(acts, after, now_);

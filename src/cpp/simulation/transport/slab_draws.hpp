@@ -9,6 +9,15 @@
 
 namespace cgemit {
 
+// Kinetic energy (GeV) below which a particle of this mass counts as stopped. Particles heavier than the
+// proton stop at the speed of a proton that does: where Bethe's formula ends, slower ones would cross any
+// matter.
+template <class T>
+T stopped_below(const T& mass) {
+  constexpr double proton = 0.94;  // GeV
+  return larger(mass * (1 / proton), 1.0) * least_kinetic;
+}
+
 template <class T>
 struct LossDraw {
   T loss;     // GeV

@@ -24,7 +24,7 @@ TransportStatus pass(const Detector& detector, Kinematics now, const Stream& str
     const double path = std::min(std::sqrt(1 + point.tanl * point.tanl) / point.ux, 100.0);
     const auto place = static_cast<std::uint32_t>(i);
     const double loss = draw_loss(slab, path, now, stream, place).loss;
-    if (now.kinetic() - loss < least_kinetic) {
+    if (now.kinetic() - loss < stopped_below(now.mass)) {
       energy_left = 0;
       return TransportStatus::stopped;
     }
