@@ -6,6 +6,7 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
+#include "bindings/part.hpp"
 #include "bindings/settings.hpp"
 #include "kernels/kernels.hpp"
 #include "simulation/digitize/induced.hpp"
@@ -29,9 +30,6 @@ std::vector<LayerDrift> layer_drift(const py::dict& table, const Detector& detec
   std::vector<LayerDrift> found;
   for (std::size_t i = 0; i < columns[0].size(); ++i) {
     const auto at = [&](std::size_t k) { return columns[k][i]; };
-    if (!(at(0) > 0) || !(at(7) > 0)) {
-      throw std::invalid_argument("drift: expected positive velocities and induction times");
-    }
     found.push_back({at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7), at(8), at(9), at(10), at(11),
                      at(12), at(13)});
   }
@@ -72,6 +70,71 @@ Chip chip(const py::dict& values) {
           .samples = values["samples"].cast<int>()};
 }
 
+// ns: delays and times of a chip and of the drift are at most as long.
+constexpr double longest = 1e6;
+
+void check(Problems& problems, const LayerDrift& drift, std::size_t layer) {
+  const Part part(problems, "drift", layer);
+  part.within("velocity", drift.velocity, tiny, far);
+  part.within("tan_lorentz", drift.tan_lorentz, -far, far);
+  for (const double sigma : {drift.sigma_x, drift.sigma_par, drift.sigma_l})
+    part.within("sigma_x, sigma_par, sigma_l", sigma, 0, far);
+  part.within("shift", drift.shift, -far, far);
+  part.within("delay", drift.delay, -longest, longest);
+  part.within("induction", drift.induction, tiny, longest);
+  for (const double width : {drift.first_phi, drift.first_z, drift.cloud_phi, drift.cloud_z})
+    part.within("first_phi, first_z, cloud_phi, cloud_z", width, 0, far);
+  part.within("hole_pitch", drift.hole_pitch, 0, far);
+  part.within("w_value", drift.w_value, tiny, far);
+}
+
+void check(Problems& problems, const ElectronPhysics& physics) {
+  const Part part(problems, "physics");
+  part.within("survival", physics.survival, 0, 1);
+  part.within("gain", physics.gain, 0, far);
+  part.within("polya", physics.polya, 0, HUGE_VAL);
+  part.within("diffusion", physics.diffusion, 0, far);
+  part.within("first_gain", physics.first_gain, tiny, far);
+}
+
+void check(Problems& problems, const char* name, const Shaper& shaper) {
+  const Part part(problems, name);
+  part.within("delay", shaper.delay, -longest, longest);
+  for (std::size_t k = 0; k < shaper.n; ++k) {
+    part.within("a", shaper.terms[k].a, -far, far);
+    part.within("b", shaper.terms[k].b, -far, far);
+    part.within("rate", shaper.terms[k].rate, tiny, far);
+  }
+}
+
+void check(Problems& problems, const Chip& chip) {
+  constexpr double most_samples = 10'000;
+  check(problems, "timing", chip.timing);
+  check(problems, "charge", chip.charge);
+  const Part part(problems, "chip");
+  part.within("threshold_x", chip.threshold[0], -far, HUGE_VAL);
+  part.within("threshold_v", chip.threshold[1], -far, HUGE_VAL);
+  part.within("noise", chip.noise, 0, far);
+  part.within("jitter", chip.jitter, 0, far);
+  part.within("saturation", chip.saturation, 0, HUGE_VAL);
+  part.within("sample_delay", chip.sample_delay, -longest, longest);
+  if (chip.kind == ChipKind::tiger) return;
+  part.within("samples", chip.samples, 1, most_samples);
+  part.within("clock", chip.clock, tiny, longest / most_samples);
+}
+
+void check(const AnalogModel& readout) {
+  Problems problems;
+  for (std::size_t i = 0; i < readout.drift.size(); ++i) check(problems, readout.drift[i], i);
+  check(problems, readout.physics);
+  check(problems, readout.chip);
+  const Part part(problems, "read-out");
+  part.within("share_spread", readout.share_spread, 0, far);
+  part.within("neighbour", readout.neighbour, 0, 1);
+  part.within("second_neighbour", readout.second, 0, 1);
+  problems.raise("read_out_analog");
+}
+
 py::dict analog(const Detector& detector, const py::dict& table, const py::dict& step_table,
                 const py::dict& drift, const py::dict& physics, const py::dict& chip_values,
                 double share_spread, double neighbour, double second_neighbour, std::uint64_t seed,
@@ -87,6 +150,7 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
                             .neighbour = neighbour,
                             .second = second_neighbour,
                             .seed = seed};
+  check(readout);
   const GainMaps gains = gain_maps(detector, gain_table);
   DigiColumns digis;
   {

@@ -1,13 +1,12 @@
-// The wire layers of a drift chamber, and what checks the parts of a detector.
+// The wire layers of a drift chamber.
 #pragma once
 
 #include <pybind11/pybind11.h>
 
 #include <cstddef>
-#include <string>
 #include <vector>
 
-#include "common/problems.hpp"
+#include "bindings/part.hpp"
 #include "detector/detector.hpp"
 
 namespace cgemit::bindings {
@@ -16,26 +15,6 @@ namespace cgemit::bindings {
 struct Chamber {
   std::vector<WireLayer> layers;
 };
-
-// Adds a problem for every number of a part that is not in its range, ends included.
-class Part {
- public:
-  Part(Problems& problems, const char* name, std::size_t number)
-      : problems_(problems), where_(name + ("[" + std::to_string(number) + "]")) {}
-  void within(const char* name, double value, double low, double high) const {
-    if (value >= low && value <= high) return;
-    problems_.add(where_ + " " + name + ": got " + to_text(value) + ", expected " + to_text(low) + " to " +
-                  to_text(high));
-  }
-
- private:
-  Problems& problems_;
-  std::string where_;
-};
-
-// What the kernels divide by, index with and allocate; the description in Python has its own, narrower
-// limits.
-inline constexpr double far = 1e12, tiny = 1e-12;
 
 std::vector<Placement> placements_of(const pybind11::dict& columns, std::size_t n);
 std::vector<WireLayer> make_wires(const pybind11::dict& columns);

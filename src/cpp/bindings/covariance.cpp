@@ -5,6 +5,7 @@
 
 #include "bindings/rows.hpp"
 #include "bindings/settings.hpp"
+#include "common/angles.hpp"
 #include "kernels/kernels.hpp"
 
 namespace py = pybind11;
@@ -64,8 +65,10 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
   for (const Detector* variant : variants)
     if (variant == nullptr || !same_surfaces(detector, *variant))
       throw std::invalid_argument("variants: expected the surfaces of the detector in the same order");
+  // Cells are counted from azimuths of about a turn.
   std::vector<double> psi;
-  for (const double azimuth : column(phi, "phi", n)) psi.push_back(azimuth);
+  for (const double azimuth : column(phi, "phi", n))
+    psi.push_back(std::abs(azimuth) <= 2 * pi ? azimuth : wrap_angle(azimuth));
   const CovarianceInput input{.psi = psi,
                               .kappa = column(kappa, "kappa", n),
                               .tanl = column(tanl, "tanl", n),

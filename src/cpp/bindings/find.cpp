@@ -5,6 +5,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "bindings/inputs.hpp"
+#include "bindings/part.hpp"
 #include "bindings/settings.hpp"
 
 namespace py = pybind11;
@@ -33,6 +34,18 @@ FindSettings find_settings(const py::dict& values) {
                               .least_width = in["least_width"],
                               .delta_strips = in["delta_strips"]};
   in.check();
+  Problems problems;
+  const Part part(problems, "settings");
+  part.within("mass", settings.mass, tiny, far);
+  part.within("efficiency", settings.efficiency, 0, 1);
+  part.within("gate", settings.gate, tiny, far);
+  part.within("max_d", settings.max_d, 0, far);
+  part.within("max_z", settings.max_z, 0, far);
+  part.within("min_pt", settings.min_pt, tiny, far);
+  part.within("min_score", settings.min_score, -far, far);
+  part.within("least_width", settings.least_width, 0, far);
+  part.within("delta_strips", settings.delta_strips, 0, 1);
+  problems.raise("find_tracks");
   return settings;
 }
 

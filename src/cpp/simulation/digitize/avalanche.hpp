@@ -204,6 +204,12 @@ inline double part_within(double mean, double sigma, double low, double high) {
   return below((high - mean) / sigma) - below((low - mean) / sigma);
 }
 
+// The strip of a position in strips, or the nearest of [low, high].
+inline int strip_of(double position, int low, int high) {
+  return static_cast<int>(
+      std::clamp(std::floor(position), static_cast<double>(low), static_cast<double>(high)));
+}
+
 // Parts of a cloud on consecutive strips.
 using Parts = std::span<const double>;
 
@@ -214,8 +220,8 @@ template <class T, class Give>
 void share_cloud(double position, double sigma, int strips, double inside, Give&& give) {
   constexpr double reach = 4;
   constexpr int edges = 8, width = lanes_of<T>;
-  const int first = std::max(static_cast<int>(std::floor(position - reach * sigma)), 0);
-  const int last = std::min(static_cast<int>(std::floor(position + reach * sigma)), strips - 1);
+  const int first = strip_of(position - reach * sigma, 0, strips);
+  const int last = strip_of(position + reach * sigma, -1, strips - 1);
   const NormalTable& table = normal_table();
   const T per_sigma(1 / sigma), ramp = gathered<T>([](int i) { return static_cast<double>(i); });
   std::array<double, edges> below_edge;
@@ -245,9 +251,8 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
   const double x_per_v = cos * sigma_x * sigma_x / (sigma_v * sigma_v);
   const double z_per_v = -sin * sigma_z * sigma_z / (sigma_v * sigma_v);
   const double rest_x = std::abs(sin) * sigma_x * sigma_z / sigma_v;
-  const int first = std::max(static_cast<int>(std::floor(strips_of_v(layer, v - reach * sigma_v))), 0);
-  const int last =
-      std::min(static_cast<int>(std::floor(strips_of_v(layer, v + reach * sigma_v))), layer.strips_v - 1);
+  const int first = strip_of(strips_of_v(layer, v - reach * sigma_v), 0, layer.strips_v);
+  const int last = strip_of(strips_of_v(layer, v + reach * sigma_v), -1, layer.strips_v - 1);
   for (int strip = first; strip <= last; ++strip) {
     double part = 0, before = table.below_at((v_of_strips(layer, strip) - v) / sigma_v);
     for (int i = 0; i < parts; ++i) {

@@ -6,14 +6,19 @@
 #include <cmath>
 #include <cstdint>
 #include <span>
+#include <stdexcept>
 #include <vector>
 
+#include "common/problems.hpp"
 #include "detector/detector.hpp"
 
 namespace cgemit {
 
 // Step of the time grid, ns: small against the 50 ns of shaper and induction gap.
 inline constexpr double time_step = 2.0;
+// Of an event: 0.2 ms, a hundred lives of a muon. Each strip with a current has the whole grid, and a chip
+// filters from the begin or from time 0.
+inline constexpr double most_steps = 1e5;
 
 // A strip with a current. Histograms hold the steps of the current, fC/ns, at the times of the grid.
 class StripSignals {
@@ -57,8 +62,12 @@ class StripSignals {
     start_ = first;
     induction_ = induction / time_step;
     per_time_ = 1 / induction;
-    bins_ = static_cast<std::size_t>((last - first) / time_step + induction_) + 3;
     last_ = (last - first) / time_step;
+    if (!(last_ + induction_ + std::max(0.0, -first / time_step) <= most_steps))
+      throw std::invalid_argument("currents of an event on a layer from " + to_text(first) + " to " +
+                                  to_text(last + induction) + " ns: expected a range of at most " +
+                                  to_text(most_steps * time_step) + " ns, and no earlier begin");
+    bins_ = static_cast<std::size_t>(last_ + induction_) + 3;
   }
 
   // When a charge enters and leaves the induction gap, on the grid.

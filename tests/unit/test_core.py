@@ -1,0 +1,69 @@
+"""The compiled module refuses wrong numbers or computes with them: none ends the process, and each call ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from borders import Call, deaths, recorded
+from cgemit import _core
+
+DESIGN = "besiii-cgem-design"
+
+
+@pytest.fixture(scope="module")
+def calls() -> dict[str, list[Call]]:
+    """Calls of the functions and classes of the compiled module by name, as the package makes them."""
+    found: dict[str, list[Call]] = {}
+    # Materials and chambers that no other test has made are compiled here.
+    detector = cg.load(DESIGN).with_overrides(
+        {"materials.Kapton.density": "1.4321 g/cm3", "drift_chamber.sigma": "131.7 um"}
+    )
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9), vertex_sigma=(1.0, 1.0, 1.0))
+    with recorded(found):
+        background = cg.Settings(background=cg.BackgroundSettings(level="bes2026"))
+        result = cg.run(detector, gun, 4, workers=1, finder="ckf", settings=background)
+        for readout in ("tiger", "apv25", "gaussian", "analog-projection"):
+            cg.run(DESIGN, gun, 2, workers=1, readout=readout)
+        cg.run(detector.with_field("besiii"), gun, 2, workers=1)
+        cg.analytic(DESIGN, "mu-", p=[0.2, 1.0])
+        cg.analytic(DESIGN, "mu-", p=1.0, radius=100.0)
+        cg.slab("Kapton 300 um", "pi-", p=0.5, n=1000)
+        cg.extrapolate(DESIGN, result.tracks, 100.0)
+        cg.helix.change_pivot(
+            np.array([[0.0, 1.0, 1.0, 0.0, 0.1]]), np.eye(5)[None], np.zeros((1, 3)), np.ones((1, 3)), 1.0
+        )
+    return found
+
+
+def test_calls_of_all_functions_that_take_numbers_are_recorded(calls: dict[str, list[Call]]) -> None:
+    public = {name for name, one in vars(_core).items() if callable(one) and not name.startswith("_")}
+    functions = {name for name in public if not hasattr(getattr(_core, name), "__members__")}
+    no_numbers = {"check_hits", "isa", "lanes", "same_surfaces", "use_scalar_kernels"}
+    assert functions - calls.keys() <= no_numbers
+
+
+@pytest.mark.parametrize("name", ["read_out_analog", "covariances"])
+def test_wrong_numbers_do_not_end_the_process(name: str, calls: dict[str, list[Call]]) -> None:
+    assert [text for call in calls[name] for text in deaths(call)] == []
+
+
+@pytest.mark.slow
+def test_wrong_numbers_of_any_function_do_not_end_the_process(calls: dict[str, list[Call]]) -> None:
+    assert [text for several in calls.values() for call in several for text in deaths(call)] == []
+
+
+def test_deaths_and_endless_calls_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    def function(value: float, other: dict[str, float]) -> None:
+        if value == np.inf:
+            os.kill(os.getpid(), signal.SIGSEGV)
+        while other["x"] == 0:
+            pass
+
+    monkeypatch.setattr("borders.SECONDS", 1)
+    found = deaths(Call("function", function, (1.0,), {"other": {"x": 1.0}}))
+    assert found == ["function(0, 0): inf: SIGSEGV", "function(1, 'other', 'x'): 0.0: SIGALRM"]
