@@ -185,7 +185,8 @@ def test_fits_are_those_of_the_curves(line, points):
             how = {"particle": "pi+", "cos_theta": 0.3, "detector": DESIGN, "method": scanned.method}
             again = fit_form(fit.quantity, p, sigma, error, **how)
             assert str(fit) == str(again)
-            assert [fit.a, fit.b, fit.deviation] == pytest.approx([again.a, again.b, again.deviation], rel=1e-9)
+            # The minimum is flat: rounding of sigma, here computed in another order, moves it by the root of its size.
+            assert [fit.a, fit.b, fit.deviation] == pytest.approx([again.a, again.b, again.deviation], rel=1e-7)
 
 
 def test_lines_and_points_of_a_detector_have_one_colour(line, points):
