@@ -171,6 +171,15 @@ def test_dead_layers_of_wires(chamber):
     assert finding.hit_efficiency > 0.97
 
 
+def test_only_missing_hits_in_a_row_end_a_track(run):
+    """Eight layers without hits, four apart: more than `holes_in_row` in all, but never two side by side."""
+    dead = np.arange(10, 39, 4)
+    assert len(dead) > cg.FindSettings().holes_in_row
+    finding = found_of(run, wire_hits=run.wire_hits[~np.isin(run.wire_hits["layer"], dead)])
+    assert finding.rates().efficiency.value == 1
+    assert finding.hit_efficiency > 0.98
+
+
 def test_points_that_are_only_in_xv_clusters(run):
     points = run.clusters[run.clusters["view"] == 2]
     alone = points.with_columns(x_cluster=np.full(len(points), -1), v_cluster=np.full(len(points), -1))

@@ -285,7 +285,8 @@ def test_a_detector_without_layers_needs_no_calibration():
 
 DESIGN_NEIGHBOURS = cg.load("besiii-cgem-design")
 STRAIGHT = DESIGN_NEIGHBOURS.with_overrides({"field.bz": "1 mT"})
-OFF = cg.Apv25Readout(gain=30_000.0, diffusion=0.0)  # hardly any field, no diffusion: few strips with much charge
+# Hardly any field, no diffusion: few strips with much charge. V has another threshold than X.
+OFF = cg.Apv25Readout(gain=30_000.0, diffusion=0.0, threshold_v=2.5)
 ON = dataclasses.replace(OFF, random_neighbours=True)
 MUONS = cg.Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6))
 
