@@ -37,8 +37,8 @@ cg.draw.event(result, 0)
 # %% [markdown]
 # ## The hits
 #
-# A candidate is a set of hits: an X and a V position in each CGEM layer, and a drift distance from each wire, whose
-# side nobody tells. The table `candidate_hits` has a row for each, which points to the cluster or wire hit; the fit
+# A candidate is a set of hits: an X and a V position in each CGEM layer, and a drift distance from each wire. The
+# side on which the track passed the wire is unknown. The table `candidate_hits` has a row for each, which points to the cluster or wire hit; the fit
 # takes them from the beam line outward.
 
 # %%

@@ -47,8 +47,8 @@ class RefineSettings(SettingsData):
         ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
         wire, which are subtracted. A run with ``digitize.wire_times = "raw"`` takes ``"raw"``.
     start_time : str
-        ``"given"``: drift times count from the start of the event. ``"fitted"``: they are wrong by one number for each
-        event, which its tracks give in the table ``start_times`` (docs/methods/reconstruct.md).
+        ``"given"``: drift times count from the start of the event. ``"fitted"``: a common offset of each event is fitted
+        from its tracks, and the table ``start_times`` has it (docs/methods/reconstruct.md).
     start_time_error : float or None
         Prior uncertainty of the given start time, ns; only with a fitted one. None: no prior.
     find_again : bool
