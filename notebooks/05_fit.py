@@ -38,8 +38,8 @@ cg.draw.event(result, 0)
 # ## The hits
 #
 # A candidate is a set of hits: an X and a V position in each CGEM layer, and a drift distance from each wire. The
-# side on which the track passed the wire is unknown. The table `candidate_hits` has a row for each, which points to the cluster or wire hit; the fit
-# takes them from the beam line outward.
+# side on which the track passed the wire is unknown. The table `candidate_hits` has a row for each hit, which points to
+# the cluster or wire hit; the fit takes them from the beam line outward.
 
 # %%
 hits = collect_hits(detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)

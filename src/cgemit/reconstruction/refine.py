@@ -47,7 +47,7 @@ class RefineSettings(SettingsData):
         ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
         wire, which are subtracted. A run with ``digitize.wire_times = "raw"`` takes ``"raw"``.
     start_time : str
-        ``"given"``: drift times count from the start of the event. ``"fitted"``: a common offset of each event is fitted
+        ``"given"``: drift times count from the start of the event. ``"fitted"``: the offset of each event is fitted
         from its tracks, and the table ``start_times`` has it (docs/methods/reconstruct.md).
     start_time_error : float or None
         Prior uncertainty of the given start time, ns; only with a fitted one. None: no prior.

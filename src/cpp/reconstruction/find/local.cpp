@@ -15,12 +15,12 @@ namespace {
 
 constexpr std::size_t ring_layers = 4;
 constexpr std::size_t many_segments = 200;
-constexpr double steepest = 2;         // tangent of the angle between a segment and the radius
-constexpr double beside = 0.6;         // mm, of a hit between the ends of a segment, without curvature
-constexpr double drift_error = 0.3;    // mm
-constexpr double any_distance = 1000;  // mm, distance from the beam line that the fit of a circle expects
-constexpr int more_layers = 1;         // than a circle from the beam line needs
-constexpr double least_squares = 200;  // mm^2, lever of a hit that measures the curvature
+constexpr double steepest_segment = 2;  // tangent of the angle between a segment and the radius
+constexpr double off_segment = 0.6;     // mm, of a hit between the ends of a segment, without curvature
+constexpr double drift_error = 0.3;     // mm
+constexpr double any_distance = 1000;   // mm, distance from the beam line that the fit of a circle expects
+constexpr int more_layers = 1;          // than a circle from the beam line needs
+constexpr double least_squares = 200;   // mm^2, lever of a hit that measures the curvature
 
 std::int64_t number_of(const WireLayer& layer, double cell) {
   return static_cast<std::int64_t>(cell - layer.cells * std::floor(cell / layer.cells));
@@ -69,7 +69,7 @@ void LocalSearch::start(const EventHits& hits) {
 // Pairs of hits of two layers, not too far apart in azimuth.
 void LocalSearch::pairs(const Ends& ends, const EventHits& hits) {
   const WireLayer &low = detector_.wires[ends.inner], &high = detector_.wires[ends.outer];
-  const double reach = steepest * (high.r_end - low.r_end) / high.r_end * high.per_radian + 1;
+  const double reach = steepest_segment * (high.r_end - low.r_end) / high.r_end * high.per_radian + 1;
   for (std::int32_t a = hits.first_wire(ends.inner); a < hits.last_wire(ends.inner); ++a) {
     if (hits.is_taken(a)) continue;
     const Wire& from = low.placed[static_cast<std::size_t>(hits[a].channel)];
@@ -141,7 +141,7 @@ std::optional<double> LocalSearch::closest(const Segment& segment, std::size_t l
     const Wire& wire = wires.placed[static_cast<std::size_t>(cell)];
     const double left = (wire.y - segment.y) * segment.ux - (wire.x - segment.x) * segment.uy;
     const double off = std::abs(std::abs(left) - hits[id].value);
-    if (off < beside + bend && !(nearest && *nearest <= off)) nearest = off;
+    if (off < off_segment + bend && !(nearest && *nearest <= off)) nearest = off;
   }
   return nearest;
 }

@@ -13,9 +13,9 @@
 namespace cgemit {
 namespace {
 
-constexpr double counts = 30;           // ADC counts per fC
-constexpr double delay_spread = 30;     // ns, standard deviation
-constexpr std::uint32_t block = 65536;  // of the random numbers of a strip, behind those of its noise
+constexpr double counts = 30;                 // ADC counts per fC
+constexpr double delay_spread = 30;           // ns, standard deviation
+constexpr std::uint32_t first_block = 65536;  // of the random numbers of a strip, behind those of its noise
 
 DigiRow row_of(const DigiColumns& digis, std::size_t i) {
   return {digis.event[i],    digis.layer[i],  digis.sheet[i], digis.view[i],  digis.strip[i],   digis.gid[i],
@@ -38,7 +38,8 @@ std::map<std::int32_t, Induced> induced_by(std::span<const DigiRow> rows, const 
   std::map<std::int32_t, Induced> found;
   const int strips = rows.front().view == 0 ? layer.strips_x : layer.strips_v;
   for (const DigiRow& row : rows) {
-    const Block words = stream.block(Purpose::readout_strip, static_cast<std::uint32_t>(row.gid), block);
+    const Block words =
+        stream.block(Purpose::readout_strip, static_cast<std::uint32_t>(row.gid), first_block);
     for (const std::size_t side : {0U, 1U}) {
       const int step = side == 0 ? -1 : 1, strip = row.strip + step;
       if (strip < 0 || strip >= strips) continue;
