@@ -27,6 +27,7 @@ from cgemit import (
     run,
 )
 from cgemit.detector import compiled
+from cgemit.detector.gas import drift_columns
 from cgemit.detector.parts import local_v, strips_of_v
 from cgemit.detector.readouts import APV25, TIGER, Shaper
 from cgemit.reconstruction.cluster import cluster
@@ -213,6 +214,28 @@ def test_charge_follows_gain_and_stays() -> None:
         assert 0.80 < share < 0.97
     double = run(DESIGN, GUN, 300, seed=8, readout=replace(quiet, gain=24_000.0), until="digitize")
     assert double.digis["charge"].sum() == pytest.approx(2 * result.digis["charge"].sum(), rel=1e-4)
+
+
+def test_tiger_samples_the_charge_after_its_delay() -> None:
+    """All charge of a gap in one point and on one strip of each view: the amplitude of a pulse of known length."""
+    whole = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 20, seed=2, until="simulate", readout="tiger")
+    point = whole.steps[np.unique(whole.steps["truth"], return_index=True)[1]]
+    electrons = np.full(len(point), 100, "i4")
+    point = point.with_columns(n_electrons=electrons, energy=whole.truths["energy"][point["truth"]])
+    quiet = TigerReadout(
+        noise=0, jitter=0, saturation=1e9, gain_fluctuation=False, share_spread=0, survival=1.0, diffusion=0,
+        holes=False, lorentz=False,
+    )  # fmt: skip
+    settings = digitize.DigitizeSettings(readout=quiet)
+    digis = digitize.digitize(DESIGN, whole.truths, whole.wire_truths, settings, 1, steps=point)["digis"]
+    assert len(digis) == 2 * len(point)
+    charge = 0.5 * 100 * quiet.gain * 1.602176634e-4  # fC
+    length = drift_columns(DESIGN)["induction"][0]  # ns, through the induction gap
+    t = np.arange(0, 100, 0.01)
+    fired = t[np.flatnonzero(charge * TIGER.timing.pulse(t, length) > quiet.threshold_x)[0]]
+    at = charge * TIGER.charge.pulse(fired + TIGER.sample_delay + np.array([0.0, TIGER.charge.delay]), length)
+    assert digis["charge"] == pytest.approx(at[0], rel=4e-4)
+    assert at[1] / at[0] > 1 + 8e-4  # the gate can fail
 
 
 def test_it_needs_all_ionization() -> None:
