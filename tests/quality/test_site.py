@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import cgemit
+from cgemit.chain.settings import BY_STAGE
 from cgemit.cli.main import main
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -100,3 +101,11 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
 
 def test_pages_of_methods_are_found() -> None:
     assert {"sweeps", "optimize", "readout", "states", "vertex"} <= {page.stem for page in METHODS}
+
+
+def test_the_concepts_name_the_tables_of_a_run() -> None:
+    rows = re.findall(r"^\| (\w+) \| (`.*?`) \|", (DOCS / "concepts.md").read_text(encoding="utf-8"), re.MULTILINE)
+    named = {stage: set(re.findall(r"`(\w+)`", tables)) for stage, tables in rows}
+    assert set().union(*named.values()) == set().union(*BY_STAGE) - {"particles"}
+    assert named["digitize"] == set(BY_STAGE[1])
+    assert named["find"] == set(BY_STAGE[3])
