@@ -155,7 +155,8 @@ def test_finder_takes_the_pair_that_fits():
     x, v = columns["x_cluster"][is_pair], columns["v_cluster"][is_pair]
     columns["x_cluster"][is_pair] = new_row[0][x]
     columns["v_cluster"][is_pair] = np.where(of_second[is_pair], new_row[1][v], new_row[0][v])
-    # Both copies of a V cluster are measured alike; the second one is the better partner of each X.
+    # Both copies of a V cluster are measured alike, but not as one; the second is the better partner of each X.
+    columns["v"] = columns["v"] + 1e-6 * of_second  # mm
     columns["score"][is_pair] = np.where(of_second[is_pair], 3.0, -3.0)
     twins = cg.Table("clusters", columns, **clusters.cover)
 
