@@ -125,7 +125,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     errors = capsys.readouterr().err
     for text in ("--values: got it with --scan angle", "--angles: got it with --scan gain",
                  "got a range", "--detector: got it without", "without CGEM layers",
-                 "--angles: got -1432.39 deg, expected between",
-                 "--angle: got 80 deg, expected between -80 and 80 deg; numbers"):  # fmt: skip
+                 "--angles: got -25 rad = -1432.39 deg, expected between",
+                 "--angle: got 1.39626 rad = 80 deg, expected between -80 and 80 deg"):  # fmt: skip
         assert text in errors
     assert set(QUANTITIES) == {"angle", "bz", "drift_field", "gain", "threshold"}
