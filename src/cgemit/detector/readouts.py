@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, NotNegative, Positive
+from cgemit.units import parse_quantity
 
 Floats = npt.NDArray[np.float64]
 
@@ -38,7 +39,7 @@ GAIN = 12_000.0
 SURVIVAL = 0.957 * 0.962
 """An electron enters a hole of the first foil, and its gain is not zero (PARSIFAL, at the nominal voltage)."""
 
-_ELECTRON = 1.602176634e-4  # fC
+_ELECTRON = parse_quantity("1 e", "charge")  # fC
 _FINE = 0.01  # ns, step in which peaks are searched
 
 
