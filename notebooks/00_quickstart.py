@@ -25,7 +25,8 @@ import cgemit as cg
 # %% [markdown]
 # ## A detector
 #
-# Presets are TOML files with a source beside each number. `besiii-cgem-design` is the detector of arXiv:1504.02570.
+# Presets are TOML files with a source beside each number. `besiii-cgem-design` is the detector of arXiv:1504.02570, and
+# `detector.cgem["L1"]` its first layer.
 
 # %%
 cg.detectors()
@@ -50,7 +51,8 @@ result
 
 # %% [markdown]
 # Every stage leaves a table: plain numpy columns, one row per object, described in the [data
-# model](../docs/data_model.md). Links between tables are row numbers. Here is the truth behind the first X cluster:
+# model](../docs/data_model.md). `table[0]` is a row and `table[:10]` a table. Links between tables are row numbers.
+# Here is the truth behind the first X cluster:
 
 # %%
 result.clusters
@@ -65,6 +67,7 @@ print(f"layer {result.clusters['layer'][first]}: phi measured {measured:.5f}, tr
 # ## One track
 #
 # The drift gaps are crossed where the circles are; crosses are reconstructed clusters, small circles drift distances.
+# In a script, `.show()` opens a window.
 
 # %%
 cg.draw.event(result, 0)

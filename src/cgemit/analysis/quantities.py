@@ -47,7 +47,7 @@ class Quantity:
     symbol : str
         On axes.
     spellings : tuple of str
-        Other names that arguments may have.
+        Further names that arguments may have, beside `name`, `symbol` and `sigma`.
     value : callable or None
         Value, native unit, from columns of helix parameters. None: the tracks have a column of residuals.
     slopes : callable or None
@@ -176,9 +176,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     one.name: one
     for one in (
         Quantity("dr", "mm", "um", 1000.0, "d_ρ", ("d_rho", "drho")),
-        Quantity("dz", "mm", "mm", 1.0, "d_z", ("d_z",)),
+        Quantity("dz", "mm", "mm", 1.0, "d_z"),
         Quantity("p", "GeV/c", "MeV/c", 1000.0, "p", (), _p, _p_slopes),
-        Quantity("pt", "GeV/c", "MeV/c", 1000.0, "p_T", ("pT", "p_T"), _pt, _pt_slopes),
+        Quantity("pt", "GeV/c", "MeV/c", 1000.0, "p_T", ("pT",), _pt, _pt_slopes),
         Quantity("p_rel", "", "%", 100.0, "p", ("p/p",), _p, _p_slopes, relative=True),
         Quantity("pt_rel", "", "%", 100.0, "p_T", ("pt/pt", "pT/pT"), _pt, _pt_slopes, relative=True),
         Quantity("phi0", "rad", "mrad", 1000.0, "φ₀", ("phi_0",)),
@@ -193,8 +193,13 @@ REPORTED = tuple(one.name for one in QUANTITIES.values() if one.reported)
 ABSOLUTE = tuple(one.name for one in QUANTITIES.values() if not one.relative)
 #: Names of the resolutions that short tables show, as the paper does.
 MAIN = ("dr", "dz", "p")
-#: Names by every accepted spelling.
-NAMES: Mapping[str, str] = {text: one.name for one in QUANTITIES.values() for text in (one.name, *one.spellings)}
+#: Names by every accepted spelling: the names and symbols that tables and figures show, and others. A relative
+#: resolution has the symbol of the quantity itself.
+NAMES: Mapping[str, str] = {
+    text: one.name
+    for one in QUANTITIES.values()
+    for text in (one.name, *one.spellings, one.sigma, *([] if one.relative else [one.symbol]))
+}
 
 #: Residuals of clusters in the two views.
 X = Quantity("X", "mm", "um", 1000.0, "X")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.analysis.quantities import QUANTITIES, quantity_of
-from cgemit.analysis.widths import HEAD, Floats, Pulls, Resolution, Resolutions, measure, stacked
+from cgemit.analysis.quantities import NAMES, QUANTITIES, quantity_of
+from cgemit.analysis.widths import HEAD, Floats, Resolution, measure, stacked
 from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import InTurn
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
@@ -39,7 +39,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     tracks : Table or Result
         Of kind "tracks", or with such a table. Rows whose fit ended well are used; the others are counted by status.
     parameter : str
-        Of `cgemit.analysis.quantities.QUANTITIES`.
+        Name or symbol, such as "dr", "d_rho" or "σ(d_ρ)"; all are in `cgemit.analysis.quantities.NAMES`.
     window : (low, high) or None
         Range of the RMS, in the quoted unit; None: all rows.
 
@@ -55,6 +55,54 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     """
     known, columns = quantity_of(parameter, "parameter"), track_columns(tracks)
     return _measure(columns["status"], known.residual(columns), known.name, known.unit, window)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Resolutions(Shown, Comparable, Tabular):
+    """The widths of several quantities, by their name.
+
+    Attributes
+    ----------
+    widths : tuple of Resolution
+    """
+
+    widths: tuple[Resolution, ...]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the numbers as columns, one row for each quantity."""
+        return stacked([one.columns() for one in self.widths])
+
+    def names(self) -> list[str]:
+        """Return the names of the quantities."""
+        return [one.parameter for one in self.widths]
+
+    def __getitem__(self, parameter: str) -> Resolution:
+        return self.widths[self.names().index(_known(NAMES.get(parameter, parameter), "parameter", self.names()))]
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return self.names()
+
+    def __iter__(self) -> Iterator[Resolution]:
+        return iter(self.widths)
+
+    def __len__(self) -> int:
+        return len(self.widths)
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        return "resolutions", ("quantity", *HEAD), [[one.label(), *one.cells()] for one in self.widths]
+
+
+class Pulls(Resolutions):
+    """The pulls (residual / error) of all parameters; `rms` and `mean` are the plain width and mean."""
+
+    @property
+    def pulls(self) -> tuple[Resolution, ...]:
+        """The widths of the pulls."""
+        return self.widths
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        rows = [[one.parameter, *one.cells(), with_error(one.mean, one.mean_error)] for one in self.widths]
+        return "pulls", ("parameter", *HEAD, "mean"), rows
 
 
 def resolutions(tracks: Table | Result) -> Resolutions:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import number
-from cgemit.tables.show import Comparable, Shown, Tabular, html_table, with_error
+from cgemit.tables.show import Comparable, Tabular, html_table, with_error
 
 Floats = npt.NDArray[np.float64]
 
@@ -311,58 +310,6 @@ def jackknife(replicas: npt.ArrayLike) -> Any:
 def stacked(tables: Sequence[dict[str, list[Any]]]) -> dict[str, list[Any]]:
     """Return tables of the same columns, one below the other."""
     return {name: [cell for table in tables for cell in table[name]] for name in tables[0]} if tables else {}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Resolutions(Shown, Comparable, Tabular):
-    """The widths of several quantities, by their name.
-
-    Attributes
-    ----------
-    widths : tuple of Resolution
-    """
-
-    widths: tuple[Resolution, ...]
-
-    def columns(self) -> dict[str, list[Any]]:
-        """Return the numbers as columns, one row for each quantity."""
-        return stacked([one.columns() for one in self.widths])
-
-    def names(self) -> list[str]:
-        """Return the names of the quantities."""
-        return [one.parameter for one in self.widths]
-
-    def __getitem__(self, parameter: str) -> Resolution:
-        names = self.names()
-        if parameter not in names:
-            hint = did_you_mean(parameter, names, "; ")
-            raise ValueError(f"parameter: got {parameter!r}; expected one of {', '.join(names)}{hint}")
-        return self.widths[names.index(parameter)]
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return self.names()
-
-    def __iter__(self) -> Iterator[Resolution]:
-        return iter(self.widths)
-
-    def __len__(self) -> int:
-        return len(self.widths)
-
-    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
-        return "resolutions", ("quantity", *HEAD), [[one.label(), *one.cells()] for one in self.widths]
-
-
-class Pulls(Resolutions):
-    """The pulls (residual / error) of all parameters; `rms` and `mean` are the plain width and mean."""
-
-    @property
-    def pulls(self) -> tuple[Resolution, ...]:
-        """The widths of the pulls."""
-        return self.widths
-
-    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
-        rows = [[one.parameter, *one.cells(), with_error(one.mean, one.mean_error)] for one in self.widths]
-        return "pulls", ("parameter", *HEAD, "mean"), rows
 
 
 @dataclass(frozen=True, eq=False, repr=False)

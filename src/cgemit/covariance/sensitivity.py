@@ -19,7 +19,7 @@ from cgemit.base.validate import NO, read
 from cgemit.covariance.analytic import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, load
-from cgemit.detector.parts import CgemLayer, Contents
+from cgemit.detector.parts import CgemLayer, Contents, Labelled
 from cgemit.detector.readouts import CalibratedReadout, Readout
 from cgemit.detector.variants import values_at
 from cgemit.reconstruction.cluster_errors import key_of
@@ -107,7 +107,7 @@ def _with_stereo(variant: Detector, base: Detector) -> Detector:
             # The hits are given: one V strip fits at any angle.
             layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)
         layers.append(layer)
-    return dataclasses.replace(variant, cgem=tuple(layers))
+    return dataclasses.replace(variant, cgem=Labelled(layers))
 
 
 def _diagonal(layer: CgemLayer) -> float:

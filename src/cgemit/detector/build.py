@@ -25,7 +25,7 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from cgemit.detector.parts import BackgroundLevel, CgemLayer, Contents, Cylinder, DriftChamber, WireLayer
+from cgemit.detector.parts import BackgroundLevel, CgemLayer, Contents, Cylinder, DriftChamber, Labelled, WireLayer
 from cgemit.detector.reader import (
     BELOW,
     FOR_ALL_LAYERS,
@@ -404,7 +404,7 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
         values["bz"] = own
 
 
-def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:
+def _cylinders(reader: Reader, group: str, raw: object) -> Labelled[Cylinder]:
     tables = reader.mapping(group, raw)
     found = [
         table
@@ -412,7 +412,7 @@ def _cylinders(reader: Reader, group: str, raw: object) -> tuple[Cylinder, ...]:
         else Cylinder(label=label, **reader.table(f"{group}.{label}", table, Cylinder, siblings=tables))
         for label, table in tables.items()
     ]
-    return tuple(sorted(found, key=lambda part: part.r_in))
+    return Labelled(sorted(found, key=lambda part: part.r_in))
 
 
 def _background(reader: Reader, raw: object) -> tuple[BackgroundLevel, ...]:
@@ -427,7 +427,7 @@ def _background(reader: Reader, raw: object) -> tuple[BackgroundLevel, ...]:
     )
 
 
-def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
+def _cgem(reader: Reader, raw: object) -> Labelled[CgemLayer]:
     found = []
     tables = reader.mapping("cgem", raw)
     for label, table in tables.items():
@@ -437,7 +437,7 @@ def _cgem(reader: Reader, raw: object) -> tuple[CgemLayer, ...]:
         values = reader.table(f"cgem.{label}", table, CgemLayer, siblings=tables)
         complete_layer(values)
         found.append(CgemLayer(label=label, **values))
-    return tuple(sorted(found, key=lambda layer: layer.anode_radius))
+    return Labelled(sorted(found, key=lambda layer: layer.anode_radius))
 
 
 def _chamber(reader: Reader, raw: object) -> DriftChamber | None:

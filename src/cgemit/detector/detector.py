@@ -31,6 +31,7 @@ class Detector(Contents):
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         problems = check.value_problems(self) + check.geometry_problems(
             self.beam_pipe, self.cgem, self.walls, self.drift_chamber
         )

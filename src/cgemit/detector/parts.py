@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
-from typing import NamedTuple
+from typing import NamedTuple, SupportsIndex, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.errors import did_you_mean
 from cgemit.detector.field import Field
 from cgemit.detector.keys import Part, key
 from cgemit.detector.material import Material
@@ -465,6 +466,37 @@ class DriftChamber(Placed):
         return tuple(accumulate((layer.cells for layer in self.layers[:-1]), initial=self.first_gid))
 
 
+L = TypeVar("L", bound=Cylinder | CgemLayer)
+
+
+class Labelled(tuple[L, ...]):
+    """Parts from inside outward, picked by number or by label.
+
+    Raises
+    ------
+    KeyError
+        If no part has the label.
+    """
+
+    __slots__ = ()
+
+    @overload
+    def __getitem__(self, key: SupportsIndex | str, /) -> L: ...
+    @overload
+    def __getitem__(self, key: slice, /) -> tuple[L, ...]: ...
+    def __getitem__(self, key: SupportsIndex | slice | str, /) -> L | tuple[L, ...]:
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        labels = self._ipython_key_completions_()
+        if key not in labels:
+            known = ", ".join(labels) or "there are none"
+            raise KeyError(f"got label {key!r}; expected one of {known}{did_you_mean(key, labels, '; ')}")
+        return self[labels.index(key)]
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [part.label for part in self]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Contents(Part):
     """What a detector consists of, parts ordered from the beam line outward; a `Detector` is this, checked."""
@@ -472,12 +504,16 @@ class Contents(Part):
     name: str
     description: str
     field: Field
-    beam_pipe: tuple[Cylinder, ...]
-    cgem: tuple[CgemLayer, ...]
-    walls: tuple[Cylinder, ...]
+    beam_pipe: Labelled[Cylinder]
+    cgem: Labelled[CgemLayer]
+    walls: Labelled[Cylinder]
     drift_chamber: DriftChamber | None
     background: tuple[BackgroundLevel, ...] = ()  # by label
     air: Material  # fills the space between parts inside the drift chamber
+
+    def __post_init__(self) -> None:
+        for name in ("beam_pipe", "cgem", "walls"):
+            object.__setattr__(self, name, Labelled(getattr(self, name)))
 
 
 def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:

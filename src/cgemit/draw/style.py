@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import cycle
@@ -60,16 +61,38 @@ _STYLE = {
     "savefig.facecolor": "white",
 }
 
+#: Backends of matplotlib that only write files.
+_WITHOUT_WINDOWS = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")
 _DPI = 130  # of the PNG files and of the pictures in notebooks
 
 
 class Picture(Figure):
-    """A matplotlib figure that shows itself in a notebook and needs no window system or pyplot state."""
+    """A matplotlib figure that shows itself in a notebook, by `show` in a script, and needs no window system."""
 
     def _repr_png_(self) -> bytes:
         stream = io.BytesIO()
         self.savefig(stream, format="png", dpi=_DPI)
         return stream.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Show the picture, in a script in a window until that is closed, in a notebook below the cell.
+
+        Parameters
+        ----------
+        warn : bool
+            Whether to warn where matplotlib's backend has no windows.
+        """
+        from matplotlib import pyplot as plt
+
+        backend = mpl.get_backend()
+        if backend.lower() in _WITHOUT_WINDOWS:
+            if warn:
+                warnings.warn(f"matplotlib's backend {backend} has no windows; save() writes files", stacklevel=2)
+            return
+        manager = self.canvas.manager
+        if manager is None or not plt.fignum_exists(manager.num):
+            plt.figure(FigureClass=lambda **_: self)  # type: ignore[arg-type]  # pyplot takes this picture for its own
+        plt.show()
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
         """Write the picture as PNG and PDF, or in one format if `path` names one.

@@ -7,6 +7,8 @@ from cgemit.analysis.resolutions import (
     Curve,
     Flatness,
     FormFit,
+    Pulls,
+    Resolutions,
     chi2_flatness,
     chi2_probability,
     fit_form,
@@ -15,7 +17,7 @@ from cgemit.analysis.resolutions import (
     resolution_against,
     resolutions,
 )
-from cgemit.analysis.widths import Fraction, GaussianFit, Pulls, Resolution, Resolutions, gaussian_fit, measure
+from cgemit.analysis.widths import Fraction, GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.detector.inventory import Background
 from cgemit.study.optimize.result import Confirmation, Optimization
 from cgemit.study.optimize.run import optimize

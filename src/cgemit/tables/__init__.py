@@ -2,13 +2,14 @@
 
 from cgemit.tables.schema import PARAMETERS, ROWS, SCHEMAS, Column
 from cgemit.tables.store import concatenate, load_tables, save_tables, select_events
-from cgemit.tables.table import Table
+from cgemit.tables.table import Row, Table
 
 __all__ = [
     "PARAMETERS",
     "ROWS",
     "SCHEMAS",
     "Column",
+    "Row",
     "Table",
     "concatenate",
     "load_tables",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, fields
 from html import escape
 from pathlib import Path
@@ -53,7 +54,13 @@ def to_awkward(table: Rows) -> Any:
     return awkward.unflatten(records, np.diff(table.offsets))
 
 
-_SHOWN_ROWS = 5
+#: Tables of at most so many rows are shown whole; of longer ones, the first rows.
+_MOST_ROWS, _FIRST_ROWS = 20, 5
+_WIDTH = 100  # characters of a line
+
+
+def _rows_shown(table: Rows) -> int:
+    return len(table) if len(table) <= _MOST_ROWS else _FIRST_ROWS
 
 
 def _counts(table: Rows) -> str:
@@ -63,25 +70,53 @@ def _counts(table: Rows) -> str:
     return f"{table.kind}: {len(table)} rows, {events}"
 
 
-def _units(table: Rows) -> dict[str, str]:
-    known = {column.name: column.unit for column in SCHEMAS[table.kind]}
-    return {name: known.get(name, "") for name in table.columns}
+def _units(kind: str, columns: Iterable[str]) -> dict[str, str]:
+    """Return the units of columns; a true value, residual or error has that of what it belongs to."""
+    known = {column.name: column.unit for column in SCHEMAS[kind]}
+    return {name: known.get(name) or known.get(_OF.sub("", name), "") for name in columns}
+
+
+_OF = re.compile("^(truth|res|err)_")
+
+
+def _labels(table: Rows) -> list[str]:
+    return [f"{name} [{unit}]" if unit else name for name, unit in _units(table.kind, table.columns).items()]
 
 
 def text(table: Rows) -> str:
-    """Return kind, sizes and columns with their units."""
-    columns = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in _units(table).items())
-    return f"<{_counts(table)}; {columns}>"
+    """Return the sizes, the first rows, as many columns as a line holds, and the names of the others."""
+    labels, shown = _labels(table), _rows_shown(table)
+    cells = [[_cell(value) for value in column[:shown]] for column in table.columns.values()]
+    widths = [max(map(len, [label, *column])) for label, column in zip(labels, cells, strict=True)]
+    ends = np.cumsum(widths) + 2 * np.arange(len(widths))
+    fit = max(1, int(np.searchsorted(ends, _WIDTH, side="right")))
+    lines = [text_table(_counts(table), labels[:fit], list(zip(*cells[:fit], strict=True)))]
+    if shown < len(table):
+        lines.append(f"... {len(table) - shown} more rows")
+    if fit < len(labels):
+        more = "more columns: " + ", ".join(labels[fit:])
+        lines += textwrap.wrap(more, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines)
+
+
+def row_text(kind: str, row: Mapping[str, Any]) -> str:
+    """Return the values of a row of a kind of table, one line for each."""
+    units, width = _units(kind, row), max(map(len, row))
+    return "\n".join(f"{name:{width}}  {_cell(value)} {units[name]}".rstrip() for name, value in row.items())
 
 
 def html(table: Rows) -> str:
     """Return the sizes and the first rows."""
-    head = "".join(f"<th>{escape(name)}<br><small>{escape(unit)}</small></th>" for name, unit in _units(table).items())
+    shown = _rows_shown(table)
+    head = "".join(
+        f"<th>{escape(name)}<br><small>{escape(unit)}</small></th>"
+        for name, unit in _units(table.kind, table.columns).items()
+    )
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(_cell(column[row]))}</td>" for column in table.columns.values()) + "</tr>"
-        for row in range(min(_SHOWN_ROWS, len(table)))
+        for row in range(shown)
     )
-    more = f"<p>... {len(table) - _SHOWN_ROWS} more rows</p>" if len(table) > _SHOWN_ROWS else ""
+    more = f"<p>... {len(table) - shown} more rows</p>" if shown < len(table) else ""
     return f"<p><b>{escape(_counts(table))}</b></p><table><tr>{head}</tr>{body}</table>{more}"
 
 

@@ -105,6 +105,24 @@ def local_links(table: Rows, tables: Mapping[str, Rows]) -> dict[str, Array]:
     return moved_links(table, lambda name: -tables[name].offsets[place] if name in tables else np.int64(0))
 
 
+class Row(dict[str, Any]):
+    """One row of a table: its values by column, printed one a line with their units.
+
+    Parameters
+    ----------
+    kind : str
+        Of the table.
+    values : mapping of str to value
+    """
+
+    def __init__(self, kind: str, values: Mapping[str, Any]) -> None:
+        super().__init__(values)
+        self.kind = kind
+
+    def __repr__(self) -> str:
+        return show.row_text(self.kind, self)
+
+
 class Table:
     """Rows of one kind as numpy columns, sorted by event.
 
@@ -211,7 +229,7 @@ class Table:
         return self.columns.keys()
 
     def __getitem__(self, key: str | slice | npt.ArrayLike) -> Any:
-        """Return a column by name, or the table of the rows picked by a mask, a slice or row numbers.
+        """Return a column by name, a `Row` by number, or the table of the rows picked by a mask, a slice or numbers.
 
         Links of other tables count rows of the unpicked table, and links between its own rows are not changed.
 
@@ -229,12 +247,18 @@ class Table:
                 raise KeyError(f"{self.kind} has no column {key!r}{did_you_mean(key, self.columns, '; ')}")
             return self.columns[key]
         rows = key if isinstance(key, slice) else np.asarray(key)
+        if not isinstance(rows, slice) and rows.ndim == 0 and rows.dtype.kind in "iu":
+            return Row(self.kind, {name: column[rows] for name, column in self.columns.items()})
         if not isinstance(rows, slice) and rows.ndim != 1:
             raise IndexError(f"rows are picked by a slice, a mask or an array of row numbers, not by {key!r}")
         if not isinstance(rows, slice) and rows.size == 0 and rows.dtype.kind == "f":
             rows = rows.astype(np.int64)  # numpy makes an empty list one of floats
         picked = {name: column[rows] for name, column in self.columns.items()}
         return self._like(picked)
+
+    def head(self, n: int = 5) -> Table:
+        """Return the first `n` rows."""
+        return self[:n]  # type: ignore[no-any-return]
 
     def select_events(self, first: int, stop: int) -> Table:
         """Return the rows of the events ``first ... stop - 1`` as a table that covers just these events.

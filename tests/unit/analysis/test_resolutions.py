@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats as scipy_stats
 
+import cgemit as cg
 from cgemit._core import FitStatus
 from cgemit.analysis.curves import track_spectrum
+from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.analysis.resolutions import FORMS, fit_form, mean_sine
 from cgemit.chain import run
 from cgemit.particles.gun import Gun
@@ -22,6 +24,7 @@ from cgemit.study import (
     pulls,
     resolution,
     resolution_against,
+    resolutions,
 )
 from cgemit.tables import PARAMETERS
 from fitted import N, make_tracks, rng
@@ -39,6 +42,27 @@ def test_quoted_units(parameter, unit, scale):
     found = resolution(tracks, parameter)
     assert found.unit == unit
     assert found.core == pytest.approx(scale * measure(tracks[f"res_{parameter}"]).core)
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES.values(), ids=lambda one: one.name)
+def test_every_name_that_is_shown_is_understood(quantity):
+    """Names, symbols on axes and symbols of resolutions; p stands for the momentum, not for its relative resolution."""
+    tracks = make_tracks(100)
+    expected = resolution(tracks, quantity.name)
+    shown = {quantity.name, quantity.sigma, *quantity.spellings, *([] if quantity.relative else [quantity.symbol])}
+    for name in shown:
+        assert resolution(tracks, name) == expected
+        assert resolutions(tracks)[name] == expected
+    covariance = cg.analytic("besiii-cgem-design")
+    assert {covariance.sigma(name).tobytes() for name in shown} == {covariance.sigma(quantity.name).tobytes()}
+
+
+def test_spellings_stand_for_one_quantity():
+    texts = [
+        [q.name, *q.spellings, q.sigma, *([] if q.relative else {q.symbol} - {q.name})] for q in QUANTITIES.values()
+    ]
+    assert sum(map(len, texts)) == len(NAMES)
+    assert (NAMES["p"], NAMES["σ(p)"], NAMES["σ(p)/p"], NAMES["d_ρ"]) == ("p", "p", "p_rel", "dr")
 
 
 def test_removed_rows_are_counted_by_name():

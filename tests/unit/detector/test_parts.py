@@ -1,5 +1,7 @@
 """Displaced layers against lines and rotations by scipy; dead and hot strips and gain maps change nothing else."""
 
+import dataclasses
+import pickle
 import tomllib
 
 import numpy as np
@@ -30,6 +32,21 @@ def in_axes(point):
     """Return a point in the axes of a part displaced by `DISPLACED`."""
     turn = Rotation.from_euler("xyz", [DISPLACED["tilt_x"], DISPLACED["tilt_y"], DISPLACED["rotation"]])  # fixed axes
     return turn.inv().apply(np.asarray(point) - [DISPLACED["shift_x"], DISPLACED["shift_y"], DISPLACED["shift_z"]])
+
+
+def test_parts_are_picked_by_number_and_by_label():
+    assert DESIGN.cgem["L2"] is DESIGN.cgem[1] is DESIGN.cgem[-2]
+    assert DESIGN.cgem[1:] == (DESIGN.cgem["L2"], DESIGN.cgem["L3"])
+    assert [DESIGN.beam_pipe[part.label] for part in DESIGN.beam_pipe] == list(DESIGN.beam_pipe)
+    assert [DESIGN.walls[part.label] for part in DESIGN.walls] == list(DESIGN.walls)
+    with pytest.raises(KeyError, match="L1, L2, L3"):
+        DESIGN.cgem["L4"]
+    thin = dataclasses.replace(DESIGN, cgem=DESIGN.cgem[:2])
+    again = pickle.loads(pickle.dumps(thin))
+    assert again == thin
+    assert again.cgem["L2"] == DESIGN.cgem["L2"]
+    with pytest.raises(KeyError):
+        again.cgem["L3"]
 
 
 def crossing(track, radius, low=-20.0, high=20.0):

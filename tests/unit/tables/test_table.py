@@ -69,15 +69,42 @@ def test_picking_rows(key):
 
 
 def test_picking_wrongly():
-    """Unknown columns get a hint; shuffled rows and single rows are refused."""
+    """Unknown columns get a hint; shuffled rows, numbers beyond the end and what is no number are refused."""
     table = make("tracks", [0, 1], 2)
     with pytest.raises(KeyError, match='did you mean "kappa"'):
         table["kapa"]
     with pytest.raises(ValueError, match="sorted by event"):
         table[[1, 0]]
-    with pytest.raises(IndexError, match="slice"):
-        table[0]
+    for key in (2, -3, True, 0.0, np.zeros((1, 1), int)):
+        with pytest.raises(IndexError):
+            table[key]
     assert len(table[[]]) == 0
+
+
+def test_a_row_has_the_values_of_all_columns():
+    """By number from either end; it is printed with its units, and compares and pickles as a dict."""
+    table = make("tracks", [0, 0, 1], 2, dr=[0.5, 1.5, -2.5], cov=np.arange(75.0).reshape(3, 5, 5))
+    row = table[1]
+    assert list(row) == list(table)
+    assert (row["event"], row["dr"], row["cov"].tolist()) == (0, 1.5, table["cov"][1].tolist())
+    assert table[-1]["dr"] == table[np.int64(2)]["dr"] == -2.5
+    lines = dict(line.split(maxsplit=1) for line in repr(row).splitlines())
+    assert lines["dr"] == "1.5 mm"
+    assert lines["cov"].startswith("5x5")
+    assert lines.keys() == row.keys()
+    digi = make("digis", [0], 1)[0]
+    copied = pickle.loads(pickle.dumps(digi))
+    assert dict(copied) == dict(digi)
+    assert repr(copied) == repr(digi)
+
+
+def test_the_head_of_a_table():
+    """The first rows, of the same events."""
+    table = make("tracks", range(8), 8, dr=np.arange(8.0))
+    assert table.head()["dr"].tolist() == [0, 1, 2, 3, 4]
+    assert table.head(2) == table[:2]
+    assert table.head(2).n_events == 8
+    assert table.head(99) == table
 
 
 def test_select_events():
@@ -291,18 +318,37 @@ def test_missing_extra_is_named(method, monkeypatch):
         getattr(make("digis", [0], 1), method)()
 
 
-def test_prints_itself():
-    """Text names sizes and units; HTML shows the first rows and how many more there are."""
-    table = make("digis", range(8), 8)
-    assert repr(table).startswith("<digis: 8 rows, 8 events from 0; event, layer,")
-    assert "charge [fC]" in repr(table)
+@pytest.mark.parametrize(("n", "shown"), [(0, 0), (20, 20), (21, 5)])
+def test_prints_its_first_rows(n, shown):
+    """Text and HTML show the values of the first rows; text as many columns as a line holds, and names all others."""
+    table = make("tracks", range(n), n, dr=np.linspace(-1, 1, n))
+    lines = repr(table).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert f"{n} rows" in lines[0]
+    heads = re.findall(r"(\w+)(?: \[([^]]*)\])?", lines[1])
+    assert heads[3:5] == [("dr", "mm"), ("phi0", "rad")]
+    rows = [line.split() for line in lines[2 : 2 + shown]]
+    assert [float(row[3]) for row in rows] == pytest.approx(table["dr"][:shown], rel=1e-5)
+    rest = " ".join(lines[2 + shown :])
+    assert (f"{n - shown} more rows" in rest) == (shown < n)
+    others = re.findall(r"(\w+)(?: \[[^]]*\])?(?:,|$)", rest.partition("more columns: ")[2])
+    assert [name for name, _ in heads] + others == list(table)
     html = table._repr_html_()
-    assert html.count("<tr>") == 6
-    rows = [re.findall(r"<td>(.*?)</td>", row) for row in html.split("<tr>")[2:]]
-    for number, column in enumerate(table.columns.values()):
-        assert [float(row[number]) for row in rows] == pytest.approx(column[:5].tolist(), rel=1e-5)
-    assert "3 more rows" in html
-    assert "5x5 matrix" in make("tracks", [0], 1)._repr_html_()
+    assert html.count("<tr>") == 1 + shown
+    cells = [re.findall(r"<td>(.*?)</td>", row) for row in html.split("<tr>")[2:]]
+    assert [float(row[3]) for row in cells] == pytest.approx(table["dr"][:shown], rel=1e-5)
+    assert all("5x5 matrix" in row for row in cells)
+    assert (f"{n - shown} more rows" in html) == (shown < n)
+
+
+def test_a_column_has_one_unit_with_and_without_truth():
+    """True values, residuals and errors have the unit of the quantity; pulls have none."""
+    table = make("tracks", [0], 1).with_columns(truth_dr=[0.0], res_p=[0.0], pull_dr=[0.0], mine=[0.0])
+    lines = {line.split()[0]: line.split()[1:] for line in repr(table[0]).splitlines()}
+    assert [lines[name][1:] for name in ("truth_dr", "res_p", "err_dr", "pull_dr", "mine")] == [
+        ["mm"], ["GeV/c"], ["mm"], [], [],
+    ]  # fmt: skip
+    assert "truth_dr [mm]" in repr(table)
 
 
 def test_schemas_are_sound():
