@@ -13,10 +13,10 @@ import pytest
 
 import cgemit
 from cgemit.chain.settings import BY_STAGE
-from cgemit.cli.main import main
+from cgemit.cli.main import COMMANDS, main
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = sorted((DOCS / "how-to").glob("*.md"))
+PAGES = [*sorted((DOCS / "how-to").glob("*.md")), DOCS / "command_line.md"]
 #: Pages with Python that runs as it stands.
 METHODS = [
     page
@@ -61,6 +61,15 @@ def test_there_are_how_to_pages() -> None:
     assert (DOCS / "own_hits.md").exists()
 
 
+def test_every_command_has_its_output() -> None:
+    """On the page of the command line, in a section of its own."""
+    page = (DOCS / "command_line.md").read_text(encoding="utf-8")
+    sections = {text.partition("\n")[0]: text for text in page.split("\n## ")[1:]}
+    assert sections.keys() == COMMANDS.keys()
+    for name, text in sections.items():
+        assert re.search(rf"^```sh\ncgemit {name}\b.*\n```\n\n```output\n", text, re.MULTILINE), name
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_a_how_to_page_runs(
@@ -68,7 +77,7 @@ def test_a_how_to_page_runs(
 ) -> None:
     """Its files are written under the names it gives, its commands and its Python run in their order.
 
-    A block of output holds what the Python before it prints; "..." stands for anything.
+    A block of output holds what the block before it prints; "..." stands for anything.
     """
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": page.stem}
@@ -77,6 +86,7 @@ def test_a_how_to_page_runs(
         if language == "toml":
             Path(next(files)).write_text(text, encoding="utf-8")
         elif language == "sh":
+            capsys.readouterr()
             for line in text.splitlines():
                 words = shlex.split(line, comments=True)
                 assert words[0] == "cgemit"
