@@ -167,12 +167,10 @@ def measure(share: float) -> Numbers:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return the table of all steps."""
-    head = ["detector", "p, GeV/c", "", "wires", "sigma(d_rho), um", "sigma(d_z), mm", "sigma(p), MeV/c"]
+    """Return the table of the steps of one detector and momentum."""
+    head = ["", "wires", "sigma(d_rho), um", "sigma(d_z), mm", "sigma(p), MeV/c"]
     lines = [
         [
-            row.detector,
-            f"{row.p:g}",
             row.step,
             f"{row.wires:.1f}",
             f"{row.dr:.4g}",
@@ -180,6 +178,7 @@ def blocks(found: Found) -> dict[str, str]:
             f"{row.sigma_p:.4g}",
         ]
         for row in found["steps"].rows
+        if (row.detector, row.p) == (DESIGN, 1.0)
     ]
     return {"steps": table(head, lines)}
 

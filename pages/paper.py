@@ -22,6 +22,8 @@ from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, sample, share_of, table
 
 SEED, BATCHES, BATCH = 11, 12, 5000
+#: Least change of a width, %, for which the page shows a choice.
+SHOWN = 3.0
 PARAMETERS = {"dr": "d_rho (um)", "dz": "d_z (mm)", "p": "p (MeV/c)"}
 
 
@@ -157,6 +159,9 @@ def blocks(found: Found) -> dict[str, str]:
     shown = {row.id: with_error(row.value, row.error) for row in found["study"].rows}
     lines = []
     for row in found["choices"].rows:
+        changes = [change for change in (row.dr_change, row.dz_change, row.p_change) if change is not None]
+        if changes and max(map(abs, changes)) < SHOWN:
+            continue
         cells = [
             _changed(row.dr, row.dr_change, row.dr_error),
             _changed(row.dz, row.dz_change, row.dz_error),
