@@ -119,18 +119,13 @@ def measure(share: float) -> Numbers:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return a table for each charge, and what was run."""
-    head = ["the fit assumes", *(heading for _, heading, _ in QUANTITIES), "width of p", "width of d_rho", "chi²/ndf"]
-    tables = {}
-    for particle in PARTICLES:
-        lines = []
-        for row in (row for row in found["effects"].rows if row.particle == particle):
-            pairs = ((row.p, row.p_error), (row.dr, row.dr_error), (row.dz, row.dz_error), (row.phi0, row.phi0_error))
-            widths = [f"{width:+.1f} %" for width in (row.width_p, row.width_dr)]
-            chi2 = f"{row.chi2_right:.3f} → {row.chi2_wrong:.3f}"
-            lines.append([row.title, *(with_error(*pair) for pair in pairs), *widths, chi2])
-        tables[particle] = table(head, lines)
-    return {"sample": sample(found["effects"]), **tables}
+    """Return the table of negative muons, and what was run."""
+    head = ["the fit assumes", *(heading for name, heading, _ in QUANTITIES if name != "phi0"), "width of p"]
+    lines = []
+    for row in (row for row in found["effects"].rows if row.particle == PARTICLES[0]):
+        pairs = ((row.p, row.p_error), (row.dr, row.dr_error), (row.dz, row.dz_error))
+        lines.append([row.title, *(with_error(*pair) for pair in pairs), f"{row.width_p:+.1f} %"])
+    return {"sample": sample(found["effects"]), PARTICLES[0]: table(head, lines)}
 
 
 PAGE = Page("mismatch", "docs/methods/mismatch.md", "1 min", {"effects": (Effect, measure)}, blocks)
