@@ -61,13 +61,14 @@ def measure(share: float) -> Numbers:
 
 def blocks(found: Found) -> dict[str, str]:
     """Return the table and the number of tracks."""
-    head = ["part, key", "unit", *(f"{text} | lost" for text, _, _ in QUANTITIES.values())]
+    head = ["part, key", "unit", *(text for text, _, _ in QUANTITIES.values()), "lost, at most"]
     rows = {(row.part, row.key, row.quantity): row for row in found["changes"].rows}
     lines = []
     for part, key in dict.fromkeys((part, key) for part, key, _ in rows):
         cells = [rows[part, key, quantity] for quantity in QUANTITIES]
-        texts = [f"{row.mean:+.2f}, {row.rms:.2f} | {_per_cent(row.lost)}" for row in cells]
-        lines.append([f"`{part}.{key}`", "10 um" if "shift" in key else "0.1 mrad", *texts])
+        texts = [f"{row.mean:+.2f}, {row.rms:.2f}" for row in cells]
+        lost = _per_cent(max(row.lost for row in cells))
+        lines.append([f"`{part}.{key}`", "10 um" if "shift" in key else "0.1 mrad", *texts, lost])
     return {"changes": table(head, lines), "events": found["changes"].about["events"]}
 
 
