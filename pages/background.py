@@ -116,7 +116,7 @@ def blocks(found: Found) -> dict[str, str]:
         ("hits without a neighbour in their layer", f"{ALONE} %", f"{got['alone'][0]:.0f} %"),
         ("runs of 1 / 2 / 3 / 4 / 5 / 6 / 7 or more cells, %", _joined(measured, 0), _joined(share, 0)),
         *((f"cells of layer {layer} with a hit, %", f"{value:g}", f"{got['shares'][layer]:.1f}")
-          for layer, value in SHARES.items() if layer in (0, 3, 7, 8, 9, 16, 20, 28, 36, 42)),
+          for layer, value in SHARES.items() if layer in (0, 8, 20, 42)),
         ("clusters in X an event, L1 / L2 / L3 (extrapolated)", _joined(CLUSTERS, 1), _joined(got["clusters"], 1)),
     ]  # fmt: skip
     return {"generated": table(["", "measured", "generated"], rows)}
