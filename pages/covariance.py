@@ -140,7 +140,8 @@ def blocks(found: Found) -> dict[str, str]:
             for quantity in QUANTITIES:
                 own = [row for row in rows if (row.mode, row.detector, row.quantity) == (mode, detector, quantity)]
                 mean = sum(row.ratio for row in own) / len(own)
-                cells.append(f"{mean:.4f}, {sum(row.fails for row in own)} of {len(own)}")
+                failures = sum(row.fails for row in own)
+                cells.append(f"{mean:.4f}{f' ({failures})' * (failures > 0)}")
             lines.append([mode, detector, *cells])
     texts = {
         "sample": f"{len(rows) // len(QUANTITIES)} points (preset, particle, momentum, angle), with "
