@@ -24,6 +24,8 @@ KERNELS = {
     "simulate_kernel": "simulation", "fit_kernel": "fit, sides known", "fit_lr_kernel": "fit, sides unknown"
 }  # fmt: skip
 SAME_OPERATIONS = {"v4": "v3"}  # what valgrind cannot count
+#: Instruction sets in the tables of the page; the numbers on file have all.
+SHOWN = ("scalar", "v4")
 COLOURS = ("#999999", "#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
@@ -33,37 +35,11 @@ def _stages(rows: Sequence[Cost]) -> str:
     return table(head, [[text, *(f"{getattr(row, name):.2f}" for row in rows)] for name, text in STAGES.items()])
 
 
-def _threads(rows: Sequence[Cost]) -> str:
-    """Return the gain by the second thread."""
-    single = {row.isa: row for row in rows if row.threads == 1}
-    lines = [
-        [isa, *(f"{getattr(one, name) / getattr(two, name):.2f}"
-                for name in ("simulate_us", "fit_us", "fit_lr_us", "fit_kernel_us"))]
-        for isa, one in single.items() for two in rows if (two.isa, two.threads) == (isa, 2)
-    ]  # fmt: skip
-    columns = ("simulation", "fit, sides known", "fit, sides unknown", "kernel of the fit")
-    return table(["gain by the second thread", *columns], lines)
-
-
-def _fits(rows: Sequence[fits.OneFit]) -> str:
-    head = ["us per fit", "sides known, two iterations", "sides unknown", "ratio"]
-    return table(head, [[row.isa, f"{row.known_us:.2f}", f"{row.unknown_us:.2f}",
-                         f"{row.unknown_us / row.known_us:.2f}"] for row in rows])  # fmt: skip
-
-
 def _covariances(rows: Sequence[fits.OneCovariance]) -> str:
     head = ["us per track", "single track", "of a point", "gradient / of a point"]
     head += ["fit, two iterations", "fit / of a point"]
     return table(head, [[row.isa, f"{row.alone_us:.2f}", f"{row.of_a_point_us:.2f}", f"{row.gradient:.1f}",
                          f"{row.fit_us:.2f}", f"{row.fit_us / row.of_a_point_us:.2f}"] for row in rows])  # fmt: skip
-
-
-def _chain(rows: Sequence[Chain]) -> str:
-    lines = [
-        [f"{row.events:,}", *(f"{getattr(row, name):.1f}" for name in (*CHAIN, "all")), f"{row.all / row.product:.1f}"]
-        for row in rows
-    ]
-    return table(["muons", *CHAIN, "all", "all / product"], lines)
 
 
 def _memory(rows: Sequence[stages.Memory]) -> str:
@@ -90,9 +66,8 @@ def _operations(rows: Sequence[operations.Counts], costs: Sequence[Cost]) -> str
 
 
 def _peers(rows: Sequence[peers.Peer]) -> str:
-    lines = [[row.case, row.what, f"{row.acts_us:.1f}", row.isa, f"{row.us:.2f}", f"{row.acts_us / row.us:.1f}"]
-             for row in rows]  # fmt: skip
-    return table(["muons", "what", "ACTS, us", "code", "cgemit, us", "ratio"], lines)
+    lines = [[row.what, f"{row.acts_us:.1f}", row.isa, f"{row.us:.2f}", f"{row.acts_us / row.us:.1f}"] for row in rows]
+    return table(["", "ACTS, us", "code", "cgemit, us", "ratio"], lines)
 
 
 def _cases(rows: Sequence[simulation.CaseCost]) -> str:
@@ -125,7 +100,8 @@ def _range(values: Sequence[float]) -> str:
 
 def blocks(found: Found) -> dict[str, str]:
     """Return all tables and the numbers of the text."""
-    rows: dict[str, Sequence[Any]] = {name: numbers.rows for name, numbers in found.items()}
+    every: dict[str, Sequence[Any]] = {name: numbers.rows for name, numbers in found.items()}
+    rows = {name: [row for row in own if getattr(row, "isa", SHOWN[0]) in SHOWN] for name, own in every.items()}
     about = found["stages"].about
     curves = {f"curve-{row.curve.split()[0].strip(',')}": f"{row.ms:.2g}" for row in rows["curves"]}
     sweeps = [f"{row.wall_ms:.1f} ms {'a design ' * (i == 0)}with {row.samples}{' samples' * (i == 0)}"
@@ -133,17 +109,14 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         "about": f"{about['machine']}; {about['versions']}.",
         "stages": _stages(rows["stages"]),
-        "threads": _threads(rows["stages"]),
-        "fits": _fits(rows["fits"]),
         "covariances": _covariances(rows["covariances"]),
         **curves,
         "variants": _range([row.variant_ms for row in rows["variants"]]),
         "sweeps": f"{', '.join(sweeps[:-1])} and {sweeps[-1]}",
-        "chain": _chain(rows["chain"]),
         "memory": _memory(rows["memory"]),
         "limit": f"{rows['stages'][0].limit_gflops:.1f}",
-        "operations": _operations(rows["operations"], rows["stages"]),
-        "peers": _peers(rows["peers"]),
+        "operations": _operations(every["operations"], rows["stages"]),
+        "peers": _peers([row for row in rows["peers"] if row.case.startswith("1 GeV")]),
         "simulation": _cases(rows["simulation"]),
         "simulation-fields": _fields(rows["simulation_fields"]),
         "fit-fields": _fields(rows["fit_fields"]),
