@@ -77,21 +77,21 @@ def _cases(rows: Sequence[simulation.CaseCost]) -> str:
 
 def _fields(rows: Sequence[FieldCost]) -> str:
     uniform = {row.isa: row.us for row in rows if row.field == "uniform"}
-    lines = [[row.isa, row.field, f"{row.us:.1f}", f"{row.us / uniform[row.isa]:.2f}"] for row in rows]
-    return table(["code", "field", "us per muon", "over uniform"], lines)
+    lines = [[row.field, f"{row.us:.1f}", f"{row.us / uniform[row.isa]:.2f}"] for row in rows if row.isa == SHOWN[-1]]
+    return table(["field", "us per muon", "over uniform"], lines)
 
 
 def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
     """Return the times, a straight line through them, and the largest distance from it."""
     lines, head = [], [""]
-    for isa, readout in dict.fromkeys((row.isa, row.readout) for row in rows):
-        mine = [row for row in rows if (row.isa, row.readout) == (isa, readout)]
+    for readout in dict.fromkeys(row.readout for row in rows):
+        mine = [row for row in rows if (row.isa, row.readout) == (SHOWN[-1], readout)]
         electrons, us = (np.array([getattr(row, name) for row in mine]) for name in ("electrons", "us"))
         slope, rest = np.polyfit(electrons, us, 1)
         off = np.max(np.abs(us / (rest + slope * electrons) - 1))
         head = [f"{n:.0f} electrons" for n in electrons]
-        lines.append([isa, readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
-    return table(["isa", "readout", *head, "us per electron", "us without", "from a line"], lines)
+        lines.append([readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
+    return table(["read-out", *head, "us per electron", "us without", "from a line"], lines)
 
 
 def _range(values: Sequence[float]) -> str:
