@@ -95,15 +95,13 @@ def measure(share: float) -> Numbers:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return the table, and what was run."""
-    head = ["p (GeV/c)", "observable", "effective", "even − effective", "lattice − even", "lattice − effective"]
+    """Return the table of the largest momentum, and what was run."""
+    head = ["observable", "effective", "even − effective", "lattice − even", "lattice − effective"]
     lines = []
-    for row in found["effects"].rows:
+    for row in (row for row in found["effects"].rows if row.p == MOMENTA[-1]):
         changes = ((row.even, row.even_error), (row.holes, row.holes_error), (row.both, row.both_error))
         cells = [f"{row.effective:.4g} ± {row.effective_error:.2g}"]
-        lines.append(
-            [f"{row.p:g}", row.observable, *cells, *(f"{change:+.2f} ± {error:.2f} %" for change, error in changes)]
-        )
+        lines.append([row.observable, *cells, *(f"{change:+.2f} ± {error:.2f} %" for change, error in changes)])
     return {"sample": sample(found["effects"]), "effects": table(head, lines)}
 
 

@@ -19,6 +19,7 @@ from pages.scenarios import SCENARIOS, Outcome, run_scenario
 EVENTS, PIONS = 10_000, 4000
 DETECTOR = "besiii-cgem-design"
 RADII = (0.0, 20.0, 35.0, 50.0, 70.0, 100.0)  # mm
+RADII_SHOWN = (20.0, 35.0, 100.0)
 FAR = 8.0  # errors
 
 #: Scenarios in the table of the page.
@@ -163,6 +164,8 @@ def blocks(found: Found) -> dict[str, str]:
     texts = {"events": found["scenarios"].about["events"], "scenarios": table(head, lines)}
     lines = []
     for one in found["begins"].rows:
+        if one.radius not in RADII_SHOWN:
+            continue
         lines.append(
             [f"{one.radius:g}", one.start_radius, f"{one.far:.1f}", f"±{one.kappa:.2f}", f"{one.displaced:.1f}"]
         )
