@@ -47,10 +47,11 @@ napoleon_use_ivar = True
 
 def _literal(app, what, name, obj, options, lines):
     """Make `name` in docstrings a code text and |x| no substitution, as they are not in reStructuredText."""
-    code = [re.sub(r"(?<!`)`([^`<>]+)`(?![`_])", r"``\1``", line) for line in lines]
+    end = lines.index("Examples") if "Examples" in lines else len(lines)
+    code = [re.sub(r"(?<!`)`([^`<>]+)`(?![`_])", r"``\1``", line) for line in lines[:end]]
     if what in ("property", "attribute") and code:
         code[0] = code[0].replace(": ", " – ", 1)  # napoleon takes what is before a colon for the type
-    lines[:] = [re.sub(r"\|(?=.*\|)|(?<=\w)\|", r"\\|", line) if "``" not in line else line for line in code]
+    lines[:end] = [re.sub(r"\|(?=.*\|)|(?<=\w)\|", r"\\|", line) if "``" not in line else line for line in code]
 
 
 def setup(app):

@@ -34,6 +34,12 @@ def at_origin(particles: Table, bz: float) -> Floats:
     -------
     ndarray, (n, 5) float64
         dr mm, phi0 rad in (-pi, pi], kappa (GeV/c)^-1, dz mm, tanl.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2, until="simulate")
+    >>> cg.helix.at_origin(r.particles, bz=-1.0)[:, 2].round(6)  # kappa, 1/(GeV/c)
+    array([-1., -1.])
     """
     px, py = particles["px"], particles["py"]
     pt = np.hypot(px, py)
@@ -68,6 +74,13 @@ def at_origin_in(particles: Table, field: _core.Field) -> Floats:
     -------
     ndarray, (n, 5) float64
         dr mm, phi0 rad in (-pi, pi], kappa (GeV/c)^-1, dz mm, tanl of the helix that touches the track there.
+
+    Examples
+    --------
+    >>> from cgemit.detector import compiled
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2, until="simulate")
+    >>> cg.helix.at_origin_in(r.particles, compiled(r.detector).field)[:, 2].round(6)  # kappa, 1/(GeV/c)
+    array([-1., -1.])
     """
     nominal = at_origin(particles, field.bz)
     if field.is_uniform:
@@ -132,6 +145,11 @@ def momentum(parameters: npt.ArrayLike) -> Floats:
     -------
     ndarray, (n,) or () float64, GeV/c
         sqrt(1 + tanl^2) / |kappa|.
+
+    Examples
+    --------
+    >>> print(cg.helix.momentum([0.0, 0.0, -2.0, 0.0, 0.75]))  # GeV/c
+    0.625
     """
     _, _, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore"):
@@ -149,6 +167,11 @@ def momentum_vector(parameters: npt.ArrayLike) -> Floats:
     -------
     ndarray, (n, 3) or (3,) float64, GeV/c
         (-sin phi0, cos phi0, tanl) / |kappa|.
+
+    Examples
+    --------
+    >>> print(cg.helix.momentum_vector([0.0, 0.0, -2.0, 0.0, 0.75]) + 0.0)  # GeV/c
+    [0.    0.5   0.375]
     """
     _, phi0, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -191,6 +214,13 @@ def change_pivot(
     ------
     ValueError
         If shapes do not fit.
+
+    Examples
+    --------
+    >>> track, zero = [1.0, 0.0, -1.0, 5.0, 0.5], [0.0, 0.0, 0.0]
+    >>> moved, cov = cg.helix.change_pivot(track, np.eye(5), zero, [1.0, 0.0, 0.0], bz=-1.0)
+    >>> print(moved.round(3))
+    [ 0.   0.  -1.   5.   0.5]
     """
     given, covariance = _with_covariance(parameters, cov)
     rows = given.size // 5
@@ -217,6 +247,12 @@ def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.Array
     -------
     ndarray, (n,) or () float64, mm
         Distance of the vertex from the beam line; negative where the particle flew towards the beam line first.
+
+    Examples
+    --------
+    >>> track = [0.0, 0.0, -1.0, 0.0, 0.5]
+    >>> print(cg.helix.start_radius(track, [0.0, 20.0, 10.0], bz=-1.0))  # mm
+    20.0
     """
     given, point = _parameters(parameters), np.asarray(vertex, np.float64)
     if point.shape[-1:] != (3,) or point.ndim > given.ndim:
@@ -239,6 +275,13 @@ def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
     -------
     ndarray, (n,) or () float64, GeV/c
         First order in kappa and tanl, with their covariance.
+
+    Examples
+    --------
+    >>> tracks = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2).tracks
+    >>> parameters = np.stack([tracks[name] for name in cg.helix.PARAMETERS], axis=1)
+    >>> bool(np.allclose(cg.helix.momentum_error(parameters, tracks["cov"]), tracks["err_p"]))
+    True
     """
     parameters, cov = _with_covariance(parameters, cov)
     p, kappa, tanl = momentum(parameters), parameters[..., 2], parameters[..., 4]
@@ -268,6 +311,12 @@ def to_perigee(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> tuple[Floats, F
         d0 mm, z0 mm, phi rad in (-pi, pi], theta rad in (0, pi), q/p (GeV/c)^-1.
     cov : ndarray, (n, 5, 5) or (5, 5) float64
         Their covariance, to first order.
+
+    Examples
+    --------
+    >>> perigee, cov = cg.helix.to_perigee([0.1, 0.0, -1.0, 5.0, 0.75], np.eye(5))
+    >>> print(perigee.round(3))  # d0, z0, phi, theta, q/p
+    [-0.1    5.     1.571  0.927 -0.8  ]
     """
     parameters, cov = _with_covariance(parameters, cov)
     dr, phi0, kappa, dz, tanl = np.moveaxis(parameters, -1, 0)

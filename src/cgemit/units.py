@@ -54,7 +54,16 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|na
 
 
 class QuantityError(WrongValueError):
-    """A quantity that cannot be read."""
+    """A quantity that cannot be read.
+
+    Examples
+    --------
+    >>> try:
+    ...     cg.units.parse_quantity("87.5", "length")
+    ... except cg.units.QuantityError as error:
+    ...     print(error.given)
+    "87.5" (no unit)
+    """
 
 
 def parse_quantity(text: object, dimension: str) -> float:
@@ -77,6 +86,10 @@ def parse_quantity(text: object, dimension: str) -> float:
     QuantityError
         If the unit is missing or belongs to another dimension, or the number is not a finite number.
 
+    Examples
+    --------
+    >>> cg.units.parse_quantity("650 um", "length")  # mm
+    0.65
     """
     expected = describe(dimension)
     if dimension == "dimensionless" and isinstance(text, int | float) and not isinstance(text, bool):
@@ -99,6 +112,11 @@ def format_quantity(value: float, dimension: str, unit: str | None = None) -> st
 
     In the native unit (the default) all digits are kept, so that `parse_quantity` returns exactly `value`;
     in another unit six significant digits are written, for people.
+
+    Examples
+    --------
+    >>> cg.units.format_quantity(0.65, "length", "um"), cg.units.format_quantity(0.65, "length")
+    ('650 um', '0.65 mm')
     """
     if unit is None:
         return f"{value!r} {NATIVE[dimension]}".strip()
@@ -106,7 +124,13 @@ def format_quantity(value: float, dimension: str, unit: str | None = None) -> st
 
 
 def describe(dimension: str) -> str:
-    """Return what a value of this dimension looks like, for messages: ``a length such as "1 mm"``."""
+    """Return what a value of this dimension looks like, for messages: ``a length such as "1 mm"``.
+
+    Examples
+    --------
+    >>> cg.units.describe("length")
+    'a length with its unit (mm, um, nm, cm, m)'
+    """
     if dimension == "dimensionless":
         return "a finite number"
     article = "an" if dimension[0] in "aeiou" else "a"
@@ -114,7 +138,13 @@ def describe(dimension: str) -> str:
 
 
 def units_of(dimension: str) -> tuple[str, ...]:
-    """Return the unit names that `parse_quantity` accepts for a dimension."""
+    """Return the unit names that `parse_quantity` accepts for a dimension.
+
+    Examples
+    --------
+    >>> cg.units.units_of("angle")
+    ('rad', 'mrad', 'deg', '°')
+    """
     return tuple(_UNITS[dimension])
 
 

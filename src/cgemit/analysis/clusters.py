@@ -198,6 +198,13 @@ class DeltaFractions(Shown, Comparable, Tabular):
         Fractions by distance along the circumference, and their binomial errors (half of Wilson's interval).
     z, z_error : tuple of float
         The same along the beam.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=200)
+    >>> found = cg.study.delta_fractions(result, beyond=[1.0])
+    >>> found.crossings, round(found.rphi[0], 2)
+    (600, 0.01)
     """
 
     beyond: tuple[float, ...]
@@ -233,6 +240,15 @@ def delta_fractions(result: Result, beyond: Sequence[float] = DISTANCES) -> Delt
     -------
     DeltaFractions
         NaN without any crossing.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=200)
+    >>> print(cg.study.delta_fractions(result, beyond=[0.5, 2.0]))
+    delta electrons away from their track, 600 crossings
+    beyond [mm]  in r-phi [%]     in z [%]
+            0.5   1.83 ± 0.55  2.00 ± 0.58
+              2   1.17 ± 0.45  1.00 ± 0.41
     """
     rphi, z = delta_displacements(result.truths, result.steps)
     n = len(rphi)
@@ -258,6 +274,13 @@ def delta_displacements(truths: Table, steps: Table) -> tuple[Floats, Floats]:
     -------
     rphi, z : ndarray, (n,) float64, mm
         Along the circumference and along the beam, without sign; 0 where there is no delta electron.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=200)
+    >>> across, along = cg.study.delta_displacements(result.truths, result.steps)
+    >>> len(across) == len(result.truths), bool((across >= 0).all())
+    (True, True)
     """
     largest = np.zeros((2, len(truths)))
     rows = np.flatnonzero(steps["parent"] != 0)

@@ -41,6 +41,13 @@ class Cosmics(Shown, Tabular):
         Of the one track: helices of the downward half at the origin.
     chi2 : ndarray, (events,) float64
         Of the two halves' being one track; five degrees of freedom.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.sample("cosmic"), n=100)
+    >>> found = cg.study.cosmics(result)
+    >>> found.halves["dr"].unit, found.events > 50
+    ('um', True)
     """
 
     events: int
@@ -89,6 +96,13 @@ def cosmics(given: Result | Table) -> Cosmics:
     ------
     ValueError
         If it holds no tracks, or no event has two halves.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.sample("cosmic"), n=100)
+    >>> found = cg.study.cosmics(result)
+    >>> bool(0 < found.halves["dr"].core < 500), found.halves["dr"].unit
+    (True, 'um')
     """
     tracks = given.tracks if isinstance(given, Result) else given
     if tracks is None or not isinstance(tracks, Table) or tracks.kind != "tracks":

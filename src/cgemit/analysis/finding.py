@@ -317,6 +317,13 @@ class FindingRates:
         Candidates of the daughters of a decay, the parent having its own, among all.
     loops : Fraction
         Loop clones among all candidates: most of their own hits are on later half turns.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20, finder="ckf")
+    >>> rates = cg.study.finding(result).rates("acts")
+    >>> rates.efficiency.value, rates.fakes.count
+    (1.0, 0)
     """
 
     efficiency: Fraction
@@ -349,6 +356,13 @@ class Finding(Shown):
         Findable particles in the event.
     occupancy : ndarray, (particles,) float64
         Fraction of the cells that are hit in the event, in %; of the strips for a detector without a chamber.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20, finder="ckf")
+    >>> found = cg.study.finding(result)
+    >>> print(found.finder, found.findable.sum(), found.rates().efficiency.value)
+    ckf 20 1.0
     """
 
     finder: str
@@ -463,6 +477,13 @@ def finding(result: Result) -> Finding:
     ------
     ValueError
         If the run ended before.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20, finder="ckf")
+    >>> found = cg.study.finding(result)
+    >>> print(found.rates().efficiency)
+    100.00 % (+0.00 -4.76; 20 of 20)
     """
     if "candidates" not in result.tables:
         expected = "a run with until='find' or 'fit' that keeps all tables"
@@ -550,6 +571,14 @@ class LoopLinks(Shown):
         Links of tracks of two particles, among all links.
     lost : Fraction
         Particles whose matched track is linked to another track and so no longer kept, among those with one.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(simulate=cg.SimulateSettings(half_turns=3))
+    >>> result = cg.run("besiii-cgem", cg.Gun("pi-", pt=0.1, cos_theta=0.2), n=5, settings=settings)
+    >>> links = cg.study.loop_links(result)
+    >>> len(links.first) == len(result.tracks)
+    True
     """
 
     first: Rows
@@ -583,6 +612,14 @@ def loop_links(result: Result) -> LoopLinks:
     ------
     ValueError
         If the run ended before, or has several hypotheses.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(simulate=cg.SimulateSettings(half_turns=3))
+    >>> result = cg.run("besiii-cgem", cg.Gun("pi-", pt=0.1, cos_theta=0.2), n=5, settings=settings)
+    >>> links = cg.study.loop_links(result)
+    >>> links.before, links.after
+    (Fraction(count=0, n=5), Fraction(count=0, n=5))
     """
     if result.fitted is None or len(result.fitted) != len(result.candidates):
         raise ValueError("loop_links: expected a run with until='fit' and one mass hypothesis that keeps all tables")

@@ -52,6 +52,13 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     ------
     TypeError, ValueError
         If `tracks` is of another kind, the parameter is unknown or the window is empty.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=500, seed=1)
+    >>> found = cg.resolution(result, "dr")
+    >>> found.unit, round(found.core), round(found.core_error), found.n
+    ('um', 198, 8, 500)
     """
     known, columns = quantity_of(parameter, "parameter"), track_columns(tracks)
     return _measure(columns["status"], known.residual(columns), known.name, known.unit, window)
@@ -64,6 +71,13 @@ class Resolutions(Shown, Comparable, Tabular):
     Attributes
     ----------
     widths : tuple of Resolution
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> widths = cg.study.resolutions(result)
+    >>> widths["theta"].unit, round(widths["theta"].core, 1)
+    ('mrad', 2.2)
     """
 
     widths: tuple[Resolution, ...]
@@ -93,7 +107,15 @@ class Resolutions(Shown, Comparable, Tabular):
 
 
 class Pulls(Resolutions):
-    """The pulls (residual / error) of all parameters; `rms` and `mean` are the plain width and mean."""
+    """The pulls (residual / error) of all parameters; `rms` and `mean` are the plain width and mean.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> pulls = cg.study.pulls(result)
+    >>> pulls.names(), round(pulls["dr"].core, 1)
+    (['dr', 'phi0', 'kappa', 'dz', 'tanl', 'p'], 1.0)
+    """
 
     @property
     def pulls(self) -> tuple[Resolution, ...]:
@@ -112,6 +134,12 @@ def resolutions(tracks: Table | Result) -> Resolutions:
     ----------
     tracks : Table or Result
         Of kind "tracks", or with such a table.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> print([one.label() for one in cg.study.resolutions(result)][:4])
+    ['dr [um]', 'dz [mm]', 'p [MeV/c]', 'pt [MeV/c]']
     """
     return Resolutions(tuple(resolution(tracks, name) for name in QUANTITIES))
 
@@ -123,6 +151,12 @@ def pulls(tracks: Table | Result) -> Pulls:
     ----------
     tracks : Table or Result
         Of kind "tracks", or with such a table.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> {one.parameter: round(one.core, 1) for one in cg.study.pulls(result)}
+    {'dr': 1.0, 'phi0': 1.0, 'kappa': 1.0, 'dz': 1.1, 'tanl': 1.0, 'p': 1.0}
     """
     columns = track_columns(tracks)
     return Pulls(tuple(_measure(columns["status"], columns[f"pull_{name}"], name) for name in PARAMETERS))
@@ -143,6 +177,13 @@ class Curve(Shown, Comparable, Tabular):
         One per bin.
     outside : int
         Rows in no bin.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> curve = cg.study.resolution_against(result, "dz", "cos_theta", [-0.9, 0.0, 0.9])
+    >>> print(curve.column("core").round(2), curve.unit)
+    [0.33 0.31] mm
     """
 
     parameter: str
@@ -202,6 +243,13 @@ def resolution_against(
     ------
     TypeError, ValueError
         If `tracks` is of another kind, a name is unknown or the limits do not increase.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> curve = cg.study.resolution_against(result, "dz", "cos_theta", [-0.9, -0.3, 0.3, 0.9])
+    >>> print(curve.column("core").round(2), curve.unit)
+    [0.4  0.26 0.34] mm
     """
     known = quantity_of(parameter, "parameter")
     quantity, by_unit = BY[_known(by, "by", list(BY))]
@@ -347,6 +395,12 @@ class FormFit(Tabular):
     deviation : float
         Largest relative distance of the form from a fitted point.
     detector, method : str
+
+    Examples
+    --------
+    >>> found = cg.study.fit_form("dr", p=[0.3, 0.5, 1.0], sigma=[309, 230, 168])
+    >>> found.formula, found.a_unit
+    ('sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta)', 'um')
     """
 
     quantity: str
@@ -427,6 +481,13 @@ def fit_form(
     ------
     ValueError
         Listing every problem of the arguments.
+
+    Examples
+    --------
+    >>> muons = cg.analytic("besiii-cgem-design", p=[0.3, 0.5, 1.0, 2.0])
+    >>> found = cg.study.fit_form("dr", muons.p, muons.sigma("dr"))
+    >>> print(found.formula, round(found.a), round(found.b), found.b_unit)
+    sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta) 134 83 um GeV/c
     """
     x, y = np.asarray(p, np.float64), np.asarray(sigma, np.float64)
     weight = y if error is None else np.asarray(error, np.float64)
@@ -518,6 +579,13 @@ def chi2_probability(tracks: Table | Result) -> Floats:
     ----------
     tracks : Table or Result
         Of kind "tracks", or with such a table.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> probability = cg.study.chi2_probability(result)
+    >>> print(len(probability), probability.mean().round(1))
+    400 0.5
     """
     from scipy.special import gammaincc  # scipy takes half a second to import
 
@@ -542,6 +610,13 @@ class Flatness(Comparable, Tabular):
         Probability of a larger Kolmogorov-Smirnov distance.
     chi2, ndf, binned : float, int, float
         Chi-square of equal bins against uniform, its degrees of freedom, probability of a larger one.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> flat = cg.study.chi2_flatness(result, bins=10)
+    >>> flat.n, flat.ndf, 0.4 < flat.mean < 0.6
+    (400, 9, True)
     """
 
     n: int
@@ -591,6 +666,13 @@ def chi2_flatness(tracks: Table | Result, bins: int = 20) -> Flatness:
     ------
     ValueError
         If fewer than 5 tracks a bin are left.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> flat = cg.study.chi2_flatness(result, bins=10)
+    >>> flat.n, round(flat.mean, 1), flat.kolmogorov > 0.001
+    (400, 0.5, True)
     """
     from scipy import special
 

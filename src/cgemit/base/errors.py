@@ -26,6 +26,13 @@ class Problem(NamedTuple):
         May be empty.
     unknown : bool
         Whether the path names nothing that exists.
+
+    Examples
+    --------
+    >>> from cgemit.detector import Problem
+    >>> problem = Problem("cgem.L1.pitch_x", '"65"', "a length with its unit")
+    >>> print(problem)
+    cgem.L1.pitch_x: got "65", expected a length with its unit
     """
 
     path: str
@@ -150,7 +157,18 @@ def refuse(source: str, path: str, given: str, expected: str, hint: str = "") ->
 
 
 class DetectorError(ProblemsError):
-    """A detector description with mistakes; `problems` lists them all, `source` is the file or preset."""
+    """A detector description with mistakes; `problems` lists them all, `source` is the file or preset.
+
+    Examples
+    --------
+    >>> try:
+    ...     cg.load({"base": "besiii-cgem", "cgem": {"L1": {"drift_gap": "500 mm"}, "L2": {"pitch_x": 0.5}}})
+    ... except cg.DetectorError as error:
+    ...     for problem in error.problems:
+    ...         print(problem.path, "is", problem.given)
+    cgem.L1.drift_gap is "500 mm"
+    cgem.L2.pitch_x is 0.5 (no unit)
+    """
 
 
 def did_you_mean(word: object, known: Iterable[object], before: str = "") -> str:

@@ -25,18 +25,35 @@ def available() -> tuple[str, ...]:
     -------
     tuple of str
         At least ``"scalar"``.
+
+    Examples
+    --------
+    >>> cg.isa.available()[0]
+    'scalar'
     """
     return tuple(name for name in NAMES if name == "scalar" or (_library(name).exists() and _core.processor_runs(name)))
 
 
 def name() -> str:
-    """Return the instruction set in use, chosen now if it was not before (`choose`)."""
+    """Return the instruction set in use, chosen now if it was not before (`choose`).
+
+    Examples
+    --------
+    >>> cg.isa.name() in cg.isa.available()
+    True
+    """
     choose()
     return _core.isa()
 
 
 def lanes() -> int:
-    """Return how many tracks the kernels in use handle side by side; see `name`."""
+    """Return how many tracks the kernels in use handle side by side; see `name`.
+
+    Examples
+    --------
+    >>> cg.isa.lanes() >= 1
+    True
+    """
     choose()
     return _core.lanes()
 
@@ -53,6 +70,14 @@ def use(isa: str) -> None:
     ------
     ValueError
         If it is not available here.
+
+    Examples
+    --------
+    >>> before = cg.isa.name()
+    >>> cg.isa.use("scalar")
+    >>> cg.isa.lanes()
+    1
+    >>> cg.isa.use(before)
     """
     if isa not in available():
         raise ValueError(f"instruction set: {isa!r}, expected one of {', '.join(available())}")
@@ -73,6 +98,12 @@ def choose() -> None:
     ------
     ValueError
         If ``CGEMIT_ISA`` names what is not available here.
+
+    Examples
+    --------
+    >>> cg.isa.choose()
+    >>> cg.isa.name() in cg.isa.available()
+    True
     """
     if _chosen:
         return

@@ -18,6 +18,13 @@ class ProgressBar:
         What is running; studies replace it.
     **options : Any
         Of tqdm, such as ``leave=False``.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem", gun, n=20, progress=cg.ProgressBar("muons"))  # muons: 100%|████| 00:00<00:00
+    >>> result.n_events
+    20
     """
 
     def __init__(self, label: str = "cgemit", **options: Any) -> None:

@@ -26,6 +26,13 @@ class Workers:
         Runs the chunks instead of a pool of threads: of processes, Dask, Parsl, MPI.
     chunk : int
         Events of a chunk.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem", gun, n=20, workers=cg.Workers(threads=2, chunk=10))
+    >>> result.tracks == cg.run("besiii-cgem", gun, n=20).tracks
+    True
     """
 
     threads: int | None = None

@@ -64,6 +64,14 @@ class Result:
         Seconds of each stage, summed over chunks, and `wall`, from start to end.
     transported : mapping of str to int, or None
         Particles of each transport status, if the run did not keep their table.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20)
+    >>> result.n_events, len(result.tracks), result.rows["truths"]
+    (20, 20, 60)
+    >>> result.clusters.keys() >= {"phi", "z"}, result.detector.name
+    (True, 'besiii-cgem')
     """
 
     detector: Detector
@@ -343,6 +351,13 @@ def open(folder: str | os.PathLike[str]) -> Result:
     RecordError
         A ValueError that lists what is damaged in run.json and tables.json, and which files are missing. A damaged
         table raises a ValueError when it is read.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20)
+    >>> files = result.save("run")
+    >>> cg.open("run").tracks == result.tracks
+    True
     """
     run = read_run(Path(folder), Settings, TABLES, EVERY_RUN, lazy=True)
     return result_of(run, run.tables)

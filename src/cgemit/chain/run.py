@@ -76,6 +76,13 @@ class Output:
         Whether to replace the results in a folder that holds nothing else.
     command : str
         Command line for run.json, if there was one.
+
+    Examples
+    --------
+    >>> gun, output = cg.Gun("mu-", p=1.0, cos_theta=0.0), cg.Output("muons", format="npz", overwrite=True)
+    >>> result = cg.run("besiii-cgem", gun, n=20, keep=["tracks"], output=output)
+    >>> len(cg.open("muons").tracks)
+    20
     """
 
     folder: str | os.PathLike[str]
@@ -167,6 +174,15 @@ def run(
         or space on disk, than there is.
     TypeError
         If `settings` are not of all stages, or the finder cannot be sent to other processes.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=100, seed=1)
+    >>> [name for name, rows in result.rows.items() if rows == 100]
+    ['particles', 'candidates', 'tracks', 'matches']
+    >>> track = result.tracks[0]
+    >>> print(track["p"].round(2), track["n_clusters"], track["n_wires"])
+    1.0 6 38
     """
     start = time.perf_counter()
     workers = Workers.of(workers)

@@ -49,6 +49,13 @@ class Settings(SettingsData):
     ------
     SettingsError
         A ValueError that lists every stage whose settings are of another class.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(simulate=cg.SimulateSettings(deltas=False), fit=cg.FitSettings(residuals=True))
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20, settings=settings)
+    >>> "residuals" in result.tables
+    True
     """
 
     simulate: SimulateSettings = field(default_factory=SimulateSettings)
@@ -84,6 +91,18 @@ def register_readout(
     digitizer : type of Digitizer or None
     clusterer : type of Clusterer or None
         None: from the class which `readout` extends, such as `AnalogReadout`.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, kw_only=True)
+    ... class FineReadout(cg.GaussianReadout):
+    ...     name = "fine"
+    ...     sigma_x: float = 0.05
+    >>> cg.register_readout(FineReadout)
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20, readout="fine")
+    >>> print(result.clusters["err_x"][0])
+    0.05
     """
     READOUTS[readout.name] = readout
     if digitizer is not None:

@@ -172,6 +172,16 @@ def analytic(
     of the read-out, so that the result is that of a fit whose assumptions hold: simulation with
     ``fluctuations="gaussian"``. Near the ends of the layers, where scattering decides which hits a track has, the
     trajectories of the samples scatter (only at the origin, and if more than one track is averaged).
+
+    Examples
+    --------
+    >>> muons = cg.analytic("besiii-cgem-design", "mu-", p=[0.3, 1.0])
+    >>> muons
+    <besiii-cgem-design, mu-, read-out binary
+      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 308.5 um, sigma(d_z) 0.4325 mm, sigma(p) 0.8343 MeV/c
+      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.7 um, sigma(d_z) 0.2837 mm, sigma(p) 4.661 MeV/c>
+    >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
+    [309. 168.] [0.83 4.66]
     """
     detector, fit = load(detector), FitSettings() if fit is None else fit
     if not isinstance(fit, FitSettings):

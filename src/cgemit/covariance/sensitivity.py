@@ -237,6 +237,14 @@ def sensitivity(
     and the sample of tracks are those of the detector itself, and the error of a cluster changes as its mean over all
     positions of the strips. Numbers of strips do not matter, and a stereo angle that follows from the diagonal of the
     sheet changes continuously with radius and length.
+
+    Examples
+    --------
+    >>> cg.sensitivity("besiii-cgem-design", p=1.0, keys=["cgem.L1.pitch_x", "field.bz"])
+    besiii-cgem-design, mu-, p 1 GeV/c, cos(theta) 0
+    1 % more of      sigma(dr) [%]  sigma(dz) [%]  sigma(p) [%]
+    field.bz                -0.082         -0.070        -0.999
+    cgem.L1.pitch_x         +0.291         +0.012        +0.036
     """
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)

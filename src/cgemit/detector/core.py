@@ -187,6 +187,12 @@ def field_at(detector: Contents, points: ArrayLike) -> NDArray[np.float64]:
     ndarray, (n, 3) float64, T
         Bx, By, Bz; NaN beyond the range of a map.
 
+    Examples
+    --------
+    >>> from cgemit.detector import field_at
+    >>> det = cg.load("besiii-cgem").with_field("finite-solenoid")
+    >>> print(field_at(det, [[0.0, 0.0, 0.0], [0.0, 0.0, 1000.0]])[:, 2].round(3))  # Bz, T
+    [-1.    -0.876]
     """
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     field = compiled_field(detector)
@@ -286,6 +292,12 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
         z, a (g/mol), moles (mol/cm2 at normal incidence) (m,) float64; slab i has the rows first[i] to first[i + 1],
         first (n + 1,) int32.
 
+    Examples
+    --------
+    >>> from cgemit.detector import slab_table, slabs
+    >>> slabs = slabs(cg.load("besiii-cgem"))
+    >>> print(slab_table(slabs)._fields)
+    ('slabs', 'log_terms', 'composition')
     """
     rows = [slab.row for slab in found]
     numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(NUMBERS)).T
@@ -341,6 +353,12 @@ def compiled(
     ------
     ValueError
         If ``CGEMIT_ISA`` names an instruction set that is not available.
+
+    Examples
+    --------
+    >>> from cgemit.detector import compiled
+    >>> compiled(cg.load("besiii-cgem")).field.bz
+    -1.0
     """
     choice = (merge, screening, foil, loss, radiation, gaps, matter)
     # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.

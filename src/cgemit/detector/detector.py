@@ -28,6 +28,11 @@ class Detector(Contents):
     DetectorError
         With every problem, if parts overlap, strips do not fit, or a value is out of its range.
 
+    Examples
+    --------
+    >>> det = cg.load("besiii-cgem")
+    >>> [layer.label for layer in det.cgem], det.cgem["L1"].strips_x, len(det.drift_chamber.layers)
+    (['L1', 'L2', 'L3'], 856, 35)
     """
 
     def __post_init__(self) -> None:
@@ -84,6 +89,11 @@ class Detector(Contents):
         DetectorError
             With every problem of the result.
 
+        Examples
+        --------
+        >>> det = cg.load("besiii-cgem").with_overrides({"cgem.*.pitch_x": "500 um", "field.bz": "0.9 T"})
+        >>> det.name, det.cgem["L2"].pitch_x
+        ('besiii-cgem+cgem.pitch_x=500um+field.bz=0.9T', 0.5)
         """
         return override(self, overrides)
 
@@ -111,6 +121,10 @@ class Detector(Contents):
         DetectorError
             If the key does not stand for one number.
 
+        Examples
+        --------
+        >>> [round(end, 2) for end in cg.load("besiii-cgem").bounds("cgem.L2.anode_radius")]
+        [107.47, 157.68]
         """
         return bounds(self, key)
 
@@ -118,6 +132,11 @@ class Detector(Contents):
         """Return the same detector in another field: a preset (see `fields`), a map, a TOML file, or a table [field].
 
         Raises DetectorError with every problem of the field.
+
+        Examples
+        --------
+        >>> cg.load("besiii-cgem").with_field({"kind": "uniform", "bz": "0.9 T"}).field.bz
+        0.9
         """
         return replace_field(self, source)
 
@@ -136,6 +155,11 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
     DetectorError
         With all problems of the description.
 
+    Examples
+    --------
+    >>> det = cg.load({"base": "besiii-cgem", "name": "fine", "cgem": {"L1": {"pitch_x": "400 um"}}})
+    >>> det.name, det.cgem["L1"].pitch_x, det.cgem["L1"].strips_x
+    ('fine', 0.4, 1416)
     """
     if isinstance(source, Detector):
         return source

@@ -71,6 +71,12 @@ def describe(detector: Contents) -> dict[str, Any]:
         `sub_layers`; `cgem` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss at normal
         incidence.
 
+    Examples
+    --------
+    >>> from cgemit.detector import describe
+    >>> found = describe(cg.load("besiii-cgem"))
+    >>> found["name"], [(row["layer"], row["strips_x"]) for row in found["cgem"]]
+    ('besiii-cgem', [('L1', 856), ('L2', 630), ('L3', 832)])
     """
     material = [_scatterer(detector, slab) for slab in slabs(detector)]
     chamber = detector.drift_chamber
@@ -252,6 +258,12 @@ def schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of a detector file.
 
     A file with a base may state any part of a table; without a base, tables must be complete.
+
+    Examples
+    --------
+    >>> from cgemit.detector import schema
+    >>> sorted(schema())[:2]
+    ['$defs', '$schema']
     """
     parts = {
         "partial": _top(complete=False),

@@ -52,6 +52,15 @@ class FieldGrid:
         r, z or x, y, z.
     values : ndarray, (points of each axis, components) float64, T
         Br, Bz or Bx, By, Bz.
+
+    Examples
+    --------
+    >>> from cgemit.detector import read_field_map, write_field_map
+    >>> r, z = np.linspace(0, 900, 4), np.linspace(-500, 500, 5)  # mm
+    >>> field = {"r": r, "z": z, "br": np.zeros((4, 5)), "bz": np.full((4, 5), -1.0)}  # T
+    >>> grid = read_field_map(write_field_map("grid.npz", field))
+    >>> grid.values.shape
+    (4, 5, 2)
     """
 
     axes: tuple[Axis, ...]
@@ -234,7 +243,13 @@ EVERYWHERE = 1e6  # mm, farther than any detector
 
 @dataclass(frozen=True, kw_only=True)
 class Field(Part):
-    """Uniform magnetic field along the beam."""
+    """Uniform magnetic field along the beam.
+
+    Examples
+    --------
+    >>> cg.load("besiii-cgem").field
+    Field(kind='uniform', bz=-1.0)
+    """
 
     kind: str = field(
         metadata=key("text", "shape of the field", choices=("uniform", "solenoid", "harmonic", "map")),
@@ -245,7 +260,16 @@ class Field(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class SolenoidField(Field):
-    """Field of a thin, finite coil without iron around it (docs/methods/field.md)."""
+    """Field of a thin, finite coil without iron around it (docs/methods/field.md).
+
+    Examples
+    --------
+    >>> from cgemit.detector import field_at
+    >>> field = {"kind": "solenoid", "bz": "-1 T", "coil_radius": "1.4 m", "half_length": "1.8 m"}
+    >>> det = cg.load("besiii-cgem").with_field(field)
+    >>> print(field_at(det, [[0.0, 0.0, 1000.0]])[0, 2].round(3))  # Bz at z = 1 m, T
+    -0.881
+    """
 
     kind: str = field(metadata=key("text", "shape of the field", choices=("solenoid",)), default="solenoid")
     coil_radius: float = field(metadata=key("length", "radius of the coil", 10.0, 10_000.0))  # mm
@@ -256,7 +280,16 @@ class SolenoidField(Field):
 
 @dataclass(frozen=True, kw_only=True)
 class HarmonicField(Field):
-    """Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)]; Br follows from Maxwell's equations."""
+    """Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)]; Br follows from Maxwell's equations.
+
+    Examples
+    --------
+    >>> from cgemit.detector import field_at
+    >>> field = {"kind": "harmonic", "bz": "-1 T", "b": "0.1 /m2"}
+    >>> det = cg.load("besiii-cgem").with_field(field)
+    >>> print(field_at(det, [[0.0, 0.0, 1000.0]])[0, 2].round(3))  # Bz at z = 1 m, T
+    -0.9
+    """
 
     kind: str = field(metadata=key("text", "shape of the field", choices=("harmonic",)), default="harmonic")
     b: float = field(metadata=key("inverse area", "quadratic decrease along the beam", -1e-5, 1e-5))  # mm^-2
@@ -272,7 +305,18 @@ class HarmonicField(Field):
 
 @dataclass(frozen=True, kw_only=True)
 class MapField(Field):
-    """Field on a grid read from a file; `bz`, if it is stated, scales the map to that value at the origin."""
+    """Field on a grid read from a file; `bz`, if it is stated, scales the map to that value at the origin.
+
+    Examples
+    --------
+    >>> from cgemit.detector import write_field_map
+    >>> r, z = np.linspace(0, 900, 4), np.linspace(-500, 500, 5)  # mm
+    >>> field = {"r": r, "z": z, "br": np.zeros((4, 5)), "bz": np.full((4, 5), -1.0)}  # T
+    >>> path = write_field_map("measured.npz", field)
+    >>> found = cg.load("besiii-cgem").with_field(path).field
+    >>> found.kind, round(found.bz, 3)
+    ('map', -1.0)
+    """
 
     kind: str = field(metadata=key("text", "shape of the field", choices=("map",)), default="map")
     bz: float = field(

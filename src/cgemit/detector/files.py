@@ -44,7 +44,13 @@ def preset_names() -> tuple[str, ...]:
 
 
 def detectors() -> dict[str, str]:
-    """Return the presets: name and description."""
+    """Return the presets: name and description.
+
+    Examples
+    --------
+    >>> list(cg.detectors())
+    ['besiii-cgem', 'besiii-cgem-design', 'besiii-idc', 'besiii-idc-boss', 'kloe2-like', 'stcf-like']
+    """
     return {name: _preset_tables(name)["description"] for name in preset_names()}
 
 
@@ -167,7 +173,14 @@ def _place(source: Source) -> object:
 
 @cache
 def fields() -> tuple[str, ...]:
-    """Return the names of the preset fields."""
+    """Return the names of the preset fields.
+
+    Examples
+    --------
+    >>> from cgemit.detector import fields
+    >>> fields()
+    ('besiii', 'besiii-harmonic', 'finite-solenoid', 'uniform')
+    """
     return tuple(
         sorted(entry.name.removesuffix(".toml") for entry in _FIELDS.iterdir() if entry.name.endswith(".toml"))
     )
@@ -246,6 +259,14 @@ def read_field_map(path: str | Path) -> FieldGrid:
     DetectorError
         With every problem of the file.
 
+    Examples
+    --------
+    >>> from cgemit.detector import read_field_map, write_field_map
+    >>> r, z = np.linspace(0, 900, 4), np.linspace(-500, 500, 5)  # mm
+    >>> field = {"r": r, "z": z, "br": np.zeros((4, 5)), "bz": np.full((4, 5), -1.0)}  # T
+    >>> grid = read_field_map(write_field_map("field.npz", field))
+    >>> len(grid.axes), grid.values.shape
+    (2, (4, 5, 2))
     """
     path = Path(path)
     problems: list[Problem] = []
@@ -280,6 +301,14 @@ def write_field_map(path: str | Path, columns: Mapping[str, Any], *, overwrite: 
     FileExistsError
         If `path` exists and `overwrite` is false.
 
+    Examples
+    --------
+    >>> from cgemit.detector import write_field_map
+    >>> r, z = np.linspace(0, 900, 4), np.linspace(-500, 500, 5)  # mm
+    >>> field = {"r": r, "z": z, "br": np.zeros((4, 5)), "bz": np.full((4, 5), -1.0)}  # T
+    >>> path = write_field_map("map.npz", field)
+    >>> round(cg.load("besiii-cgem").with_field(path).field.bz, 3)
+    -1.0
     """
     path = Path(path)
     problems: list[Problem] = []

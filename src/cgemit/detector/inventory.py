@@ -32,6 +32,12 @@ class Background(SettingsData):
         Time in which a strip counts hits, ns.
     strips : float
         Fired strips of a hit in each view.
+
+    Examples
+    --------
+    >>> background = cg.study.Background(rate=10.0)  # kHz/cm2 at 100 mm
+    >>> background.power, background.window
+    (2.0, 1000.0)
     """
 
     rate: NotNegative

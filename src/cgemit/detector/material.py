@@ -55,6 +55,12 @@ class Material(Part):
     """A homogeneous material.
 
     `composition` holds (element, mass fraction) pairs; it is empty where only bulk properties are known.
+
+    Examples
+    --------
+    >>> gas = cg.load("besiii-cgem-design").cgem["L1"].gas
+    >>> gas.name, gas.gas, round(gas.x0 / 1000)  # m
+    ('CgemGas', True, 122)
     """
 
     name: str

@@ -166,7 +166,15 @@ _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire lay
 
 @dataclass(frozen=True)
 class Slab:
-    """Neighbouring shells that act as one scatterer; `gap` is the CGEM layer whose drift gap this is, or -1."""
+    """Neighbouring shells that act as one scatterer; `gap` is the CGEM layer whose drift gap this is, or -1.
+
+    Examples
+    --------
+    >>> from cgemit.detector import slabs
+    >>> slabs = slabs(cg.load("besiii-cgem"))
+    >>> [slab.gap for slab in slabs if slab.gap >= 0]  # drift gaps
+    [0, 1, 2]
+    """
 
     shells: tuple[Shell, ...]
     gap: int = -1
@@ -229,6 +237,12 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
         ``"effective"``: foils at the density that the description gives them. ``"lattice"``: their sub-layers are
         slabs of solid matter with holes, whatever `merge` (docs/methods/foils.md).
 
+    Examples
+    --------
+    >>> from cgemit.detector import slabs
+    >>> slabs = slabs(cg.load("besiii-cgem"))
+    >>> len([slab for slab in slabs if slab.gap >= 0])
+    3
     """
     solid = [*_cylinders("pipe", detector.beam_pipe, merge), *_cylinders("wall", detector.walls, merge)]
     foils = 0

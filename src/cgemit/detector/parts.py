@@ -163,7 +163,14 @@ class BackgroundLevel(Part):
 
 
 class Shell(NamedTuple):
-    """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas."""
+    """A placed sub-layer; `group` is pipe, wall, air, cathode, drift, foils, anode or gas.
+
+    Examples
+    --------
+    >>> shells = cg.load("besiii-cgem").cgem["L1"].shells()
+    >>> print(*[(shell.group, shell.label) for shell in shells][-3:])
+    ('anode', 'Epoxy5') ('anode', 'Cu3') ('anode', 'Kapton5')
+    """
 
     group: str
     label: str
@@ -190,7 +197,14 @@ class Shell(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Cylinder(Part):
-    """A cylindrical shell of one material: a layer of the beam pipe or of a wall."""
+    """A cylindrical shell of one material: a layer of the beam pipe or of a wall.
+
+    Examples
+    --------
+    >>> pipe = cg.load("besiii-cgem").beam_pipe[0]
+    >>> pipe.label, pipe.material.name, pipe.r_in
+    ('gold', 'Au', 31.48564)
+    """
 
     label: str
     r_in: float = field(metadata=key("length", "inner radius", 0.1, 3000.0))  # mm
@@ -206,7 +220,14 @@ class Cylinder(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class SubLayer(Part):
-    """One material of an electrode of a CGEM layer."""
+    """One material of an electrode of a CGEM layer.
+
+    Examples
+    --------
+    >>> layer = cg.load("besiii-cgem").cgem["L1"]
+    >>> [(part.label, part.material.name, part.thickness) for part in layer.foil]
+    [('Cu1', 'CuFoil', 0.005), ('Kapton', 'KaptonFoil', 0.05), ('Cu2', 'CuFoil', 0.005)]
+    """
 
     label: str
     material: Material = field(metadata=key("material", "name of the material"))
@@ -224,6 +245,12 @@ class CgemLayer(Placed):
     """One cylindrical GEM layer with X and V strips; everything is placed from the V-strip plane inward and outward.
 
     From inside: cathode, drift gap, first foil, transfer gap, ..., last foil, induction gap, anode.
+
+    Examples
+    --------
+    >>> layer = cg.load("besiii-cgem").cgem["L1"]
+    >>> layer.strips_x, layer.strips_v, layer.sheets, round(layer.r_mid, 2)  # mm
+    (856, 1173, 1, 81.57)
     """
 
     label: str
@@ -374,6 +401,12 @@ class WireLayer(Part):
 
     Wire i starts at z = +half_length at azimuth phi_east + 2 pi i/cells and ends at z = -half_length at that azimuth
     minus the twist, both at radius r_end; it is straight.
+
+    Examples
+    --------
+    >>> layer = cg.load("besiii-cgem").drift_chamber.layers[0]
+    >>> layer.number, layer.cells, layer.sigma
+    (8, 76, 0.13)
     """
 
     number: int
@@ -433,7 +466,16 @@ class WireLayer(Part):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DriftChamber(Placed):
-    """A drift chamber: wire layers in one gas."""
+    """A drift chamber: wire layers in one gas.
+
+    Examples
+    --------
+    >>> chamber = cg.load("besiii-cgem").drift_chamber
+    >>> chamber
+    <drift chamber: 35 layers, 6312 cells, r = 197.0 to 763.5 mm, gas MdcGas, matter of the wires not counted>
+    >>> chamber.layers[0].number
+    8
+    """
 
     gas: Material = field(metadata=key("gas", "gas of the chamber"))
     wires: str = field(
@@ -476,6 +518,12 @@ class Labelled(tuple[L, ...]):
     ------
     KeyError
         If no part has the label.
+
+    Examples
+    --------
+    >>> det = cg.load("besiii-cgem")
+    >>> det.cgem["L2"] is det.cgem[1], [layer.label for layer in det.cgem]
+    (True, ['L1', 'L2', 'L3'])
     """
 
     __slots__ = ()

@@ -70,6 +70,14 @@ class BinaryReadout(Readout):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem", gun, n=20, readout=cg.BinaryReadout(gain=8000))
+    >>> x = result.clusters[result.clusters["view"] == 0]
+    >>> print(x["size"].mean().round(1))  # strips
+    1.5
     """
 
     name: ClassVar[str] = "binary"
@@ -100,6 +108,13 @@ class GaussianReadout(Readout):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem", gun, n=20, readout=cg.GaussianReadout(sigma_x=0.1))
+    >>> print(result.clusters["err_x"][0])  # mm
+    0.1
     """
 
     name: ClassVar[str] = "gaussian"
@@ -139,6 +154,13 @@ class ProjectionReadout(Readout):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem-design", gun, n=5, readout=cg.ProjectionReadout(noise=0.8), until="digitize")
+    >>> result.settings.digitize.readout.noise, bool((result.digis["charge"] > 0).all())
+    (0.8, True)
     """
 
     name: ClassVar[str] = "analog-projection"
@@ -325,7 +347,16 @@ class AnalogReadout(Readout):
 
 @dataclass(frozen=True, kw_only=True)
 class TigerReadout(AnalogReadout):
-    """Two branches: the fast one gives the time of the leading edge, the slow one is sampled for the charge."""
+    """Two branches: the fast one gives the time of the leading edge, the slow one is sampled for the charge.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem-design", gun, n=5, readout=cg.TigerReadout(threshold_x=3.0), until="digitize")
+    >>> x = result.digis[result.digis["view"] == 0]
+    >>> bool((x["charge"] > 1).all()), bool(np.isfinite(x["time"]).all())
+    (True, True)
+    """
 
     name: ClassVar[str] = "tiger"
     chip: ClassVar[Chip] = TIGER
@@ -340,6 +371,13 @@ class Apv25Readout(AnalogReadout):
     random_neighbours : bool
         Whether strips induce charge on their neighbours at random, with probability, share and time that depend on
         their charge, as PARSIFAL has them for a triple GEM; beside `neighbour`.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> result = cg.run("besiii-cgem-design", gun, n=5, readout=cg.Apv25Readout(noise=0.4), until="digitize")
+    >>> bool((result.digis["charge"] > 1).all())  # fC; the threshold is 1.67
+    True
     """
 
     name: ClassVar[str] = "apv25"

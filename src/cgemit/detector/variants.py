@@ -47,6 +47,11 @@ def like(label: str, **changes: object) -> dict[str, object]:
     DetectorError
         With every name that is no key of a CGEM layer, and if `label` is no text.
 
+    Examples
+    --------
+    >>> det = cg.load("besiii-cgem-design").with_overrides({"cgem.L0": cg.like("L1", anode_radius="62 mm")})
+    >>> [(layer.label, layer.anode_radius) for layer in det.cgem]
+    [('L0', 62.0), ('L1', 87.5), ('L2', 132.5), ('L3', 175.0)]
     """
     known = [*keys_of(CgemLayer), *EXTRA.get(CgemLayer, ())]
     problems = [

@@ -49,6 +49,12 @@ def draw_chain() -> Picture:
     Returns
     -------
     Picture
+
+    Examples
+    --------
+    >>> picture = cg.draw.draw_chain()
+    >>> [file.name for file in picture.save("chain.png")]
+    ['chain.png']
     """
     with style():
         picture, (axes,) = new_picture(1, 1, (12.0, 3.6))

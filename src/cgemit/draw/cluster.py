@@ -100,6 +100,13 @@ def draw_cluster(result: Result, event: int, layer: int = 0) -> Picture:
     ------
     ValueError
         If the event has no XV cluster in that layer.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=2)
+    >>> picture = cg.draw.draw_cluster(result, event=0, layer=1)
+    >>> picture.axes[0].get_xlabel()
+    "X = R (φ − φ of the sheet's edge)  (mm)"
     """
     hit = crossing(result, event, layer)
     with style():
@@ -194,6 +201,13 @@ def draw_projection(result: Result, event: int, layer: int = 0) -> Picture:
     ------
     ValueError
         If the event has no XV cluster in that layer.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=2)
+    >>> picture = cg.draw.draw_projection(result, event=0, layer=1)
+    >>> picture.axes[0].get_xlabel()
+    'R (φ − φ at mid-gap)  (mm)'
     """
     hit = crossing(result, event, layer)
     with style():
@@ -272,7 +286,15 @@ _MARGIN = 2.0  # mm on either side
 
 
 class FormationPanel(NamedTuple):
-    """One track with one set of switches; lengths in mm, X from the crossing of mid-gap, depth from the cathode."""
+    """One track with one set of switches; lengths in mm, X from the crossing of mid-gap, depth from the cathode.
+
+    Examples
+    --------
+    >>> from cgemit.study.readout.scan import formation
+    >>> panels = formation(cg.TigerReadout(), angle=20.0, bz=1.0)
+    >>> len(panels), panels[0].pitch  # mm
+    (4, 0.65)
+    """
 
     title: str
     track: Floats  # (2, 2), X and depth where it enters and leaves the drift gap
@@ -290,6 +312,13 @@ def draw_formation(panels: Sequence[FormationPanel]) -> Picture:
     Parameters
     ----------
     panels : sequence of FormationPanel
+
+    Examples
+    --------
+    >>> from cgemit.study.readout.scan import formation
+    >>> picture = cg.draw.draw_formation(formation(cg.TigerReadout(), angle=20.0, bz=1.0))
+    >>> len(picture.axes)
+    4
     """
     low, high = _range(panels)
     most = max(float(panel.charge.max(initial=0.0)) for panel in panels)

@@ -51,6 +51,13 @@ def residual(result: Result | Table, quantity: str = "p") -> Picture:
     ------
     ValueError
         If the quantity is unknown, or too few tracks were fitted.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=400, seed=1)
+    >>> picture = cg.draw.residual(result, "p")
+    >>> picture.axes[0].get_xlabel()
+    'p: fitted − true  (MeV/c)'
     """
     tracks = tracks_of(result)
     with style():
@@ -323,6 +330,14 @@ def draw_finding(curves: Mapping[str, Mapping[str, Any]], title: str, lines: Seq
     Returns
     -------
     Picture
+
+    Examples
+    --------
+    >>> bins = {"low": [0.1, 0.5], "high": [0.5, 1.0], "findable": [10, 10]}  # GeV/c
+    >>> bins |= {"efficiency": [0.9, 1.0], "efficiency_low": [0.8, 0.9], "efficiency_high": [0.95, 1.0]}
+    >>> picture = cg.draw.draw_finding({"pt": bins}, "ckf")
+    >>> picture.axes[0].get_ylabel()
+    'efficiency  (%)'
     """
     with style():
         across, rows = min(len(curves), 3), -(-len(curves) // 3)
@@ -370,7 +385,15 @@ _LOOKS = {
 
 
 class ViewCurves(NamedTuple):
-    """What is drawn of one view."""
+    """What is drawn of one view.
+
+    Examples
+    --------
+    >>> one = np.ones(2)
+    >>> curves = cg.draw.ViewCurves("X", {"centroid": (80 * one, 2 * one)}, size=3 * one, efficiency=one)
+    >>> curves.name, list(curves.widths)
+    ('X', ['centroid'])
+    """
 
     name: str  # X or V
     widths: Mapping[str, tuple[Floats, Floats]]  # by estimator: core widths and their errors, (n,) um
@@ -388,6 +411,14 @@ def draw_readout(values: Floats, label: str, views: Sequence[ViewCurves], title:
         Of the quantity on the horizontal axes, with its unit.
     views : sequence of ViewCurves
     title : str
+
+    Examples
+    --------
+    >>> one = np.ones(2)
+    >>> curves = cg.draw.ViewCurves("X", {"centroid": (80 * one, 2 * one)}, size=3 * one, efficiency=one)
+    >>> picture = cg.draw.draw_readout(np.array([0.0, 30.0]), "angle (deg)", [curves], "tiger")
+    >>> picture.axes[-1].get_xlabel()
+    'angle (deg)'
     """
     with style():
         picture, flat = new_picture(3, len(views), (8.4, 7.0), sharex=True, height_ratios=(3, 1, 1))
@@ -436,6 +467,13 @@ def draw_refit(result: Refit) -> Picture:
     ------
     ValueError
         If no track was fitted by both.
+
+    Examples
+    --------
+    >>> from cgemit.analysis.bes3 import read_events
+    >>> from cgemit.analysis.refit import refit
+    >>> events = read_events("run.rec", "besiii-idc-boss")  # doctest: +SKIP
+    >>> cg.draw.draw_refit(refit(events)).save("refit")  # doctest: +SKIP
     """
     good = result.good
     if not good.any():
@@ -499,6 +537,13 @@ def resolutions(scans: Sequence[Any]) -> Picture:
     -------
     Picture
         One panel for each of `REPORTED`.
+
+    Examples
+    --------
+    >>> lines = cg.study.scan_analytic("besiii-cgem-design", [0.3, 1.0])
+    >>> picture = cg.draw.resolutions([lines])
+    >>> [axes.get_ylabel() for axes in picture.axes if "p" in axes.get_ylabel()][0]
+    'σ(p)  (MeV/c)'
     """
     scans = [scans] if hasattr(scans, "all_lines") else list(scans)
     named = _named([scan.all_lines for scan in scans])

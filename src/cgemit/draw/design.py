@@ -47,6 +47,13 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     ------
     ValueError
         If `by` is not known, or the points are not a line of momenta.
+
+    Examples
+    --------
+    >>> budget = cg.analytic("besiii-cgem-design", p=[0.3, 0.5, 1.0]).budget("dr")
+    >>> picture = cg.draw.draw_budget(budget)
+    >>> picture.axes[0].get_xlabel()
+    'p  (GeV/c)'
     """
     if budget.p.ndim != 1 or len(np.unique(budget.p)) < 2 or np.ptp(budget.cos_theta) > 1e-12 or not _is_count(most):
         raise ValueError(
@@ -97,6 +104,13 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
     ------
     ValueError
         If there is no budget, or one of several points.
+
+    Examples
+    --------
+    >>> names = ("besiii-cgem", "besiii-idc")
+    >>> picture = cg.draw.draw_budgets({name: cg.analytic(name, p=1.0).budget("dz") for name in names})
+    >>> [label.get_text() for label in picture.axes[0].get_yticklabels()]
+    ['besiii-cgem', 'besiii-idc']
     """
     if not budgets or not _is_count(most) or any(one.p.size != 1 for one in budgets.values()):
         sizes = [one.p.size for one in budgets.values()]
@@ -182,6 +196,13 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
     ------
     ValueError
         If there is no such point, or nothing to draw.
+
+    Examples
+    --------
+    >>> found = cg.sensitivity("besiii-cgem-design", p=1.0, keys=["cgem.L1.pitch_x", "field.bz"])
+    >>> picture = cg.draw.draw_sensitivity(found)
+    >>> [label.get_text() for label in picture.axes[0].get_yticklabels()]
+    ['field.bz', 'cgem.L1.pitch_x']
     """
     points = sensitivity.p.size
     if not (_is_count(point, 0) and point < points and _is_count(most)):

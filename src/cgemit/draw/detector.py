@@ -51,6 +51,12 @@ def draw_detector(detector: Detector | str | Mapping[str, Any]) -> Picture:
     Returns
     -------
     Picture
+
+    Examples
+    --------
+    >>> picture = cg.draw.draw_detector("besiii-cgem")
+    >>> [axes.get_xlabel() for axes in picture.axes]
+    ['x (mm)', 'x (mm)']
     """
     detector = load(detector)
     with style():
@@ -72,6 +78,12 @@ def draw_sides(detector: Detector | str | Mapping[str, Any]) -> Picture:
     Returns
     -------
     Picture
+
+    Examples
+    --------
+    >>> picture = cg.draw.draw_sides("besiii-cgem")
+    >>> picture.axes[0].get_xlabel(), picture.axes[0].get_ylabel()
+    ('z (mm)', 'r (mm)')
     """
     detector = load(detector)
     with style():

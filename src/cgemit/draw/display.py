@@ -63,6 +63,13 @@ def event(result: Result, number: int = 0) -> Picture:
     ------
     ValueError
         If the result has no such event.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=2)
+    >>> picture = cg.draw.event(result, 0)
+    >>> [axes.get_title(loc="left") for axes in picture.axes[:3]]
+    ['across the beam', 'inner layers', 'side view']
     """
     view = view_of(result, number)
     detector = view.detector
@@ -279,6 +286,13 @@ def event_3d(result: Result, number: int = 0) -> Any:
     ------
     ValueError
         If the result has no such event, or plotly is not installed.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=2)
+    >>> figure = cg.draw.event_3d(result, 0)
+    >>> [trace.name for trace in figure.data if trace.name][:3]
+    ['beam pipe', 'L1', 'L2']
     """
     plotly = _plotly()
     view = view_of(result, number)
@@ -306,6 +320,12 @@ def save_page(figure: Any, path: str | os.PathLike[str], *, overwrite: bool = Fa
     ------
     FileExistsError
         If the file exists and `overwrite` is false.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=2)
+    >>> cg.draw.save_page(cg.draw.event_3d(result), "event.html").name
+    'event.html'
     """
     title = figure.layout.title.text.replace("<", "&lt;")
     how = {"config": {"displaylogo": False, "responsive": True}, "default_height": "100%", "div_id": "event"}

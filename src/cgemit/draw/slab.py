@@ -29,6 +29,12 @@ def draw_slab(result: SlabResult) -> Picture:
     Returns
     -------
     Picture
+
+    Examples
+    --------
+    >>> picture = cg.draw.draw_slab(cg.slab("Kapton 300 um", "pi-", p=0.5, n=2000))
+    >>> [axes.get_xlabel() for axes in picture.axes]
+    ['plane angle  (mrad)', 'energy loss  (keV)']
     """
     with style():
         picture, (angles, losses) = new_picture(1, 2, (11.4, 4.8))

@@ -67,7 +67,15 @@ _DPI = 130  # of the PNG files and of the pictures in notebooks
 
 
 class Picture(Figure):
-    """A matplotlib figure that shows itself in a notebook, by `show` in a script, and needs no window system."""
+    """A matplotlib figure that shows itself in a notebook, by `show` in a script, and needs no window system.
+
+    Examples
+    --------
+    >>> picture = cg.draw.draw_budget(cg.analytic("besiii-cgem-design", p=[0.3, 0.5, 1.0]).budget("dr"))
+    >>> [file.name for file in picture.save("budget")]
+    ['budget.png', 'budget.pdf']
+    >>> picture.show(warn=False)  # a window, where matplotlib has one
+    """
 
     def _repr_png_(self) -> bytes:
         stream = io.BytesIO()

@@ -137,6 +137,13 @@ class Gun(Source):
     ------
     ParticleError
         Listing every problem.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("pi+", p=(0.2, 1.0), cos_theta=[-0.5, 0.5]) + cg.Gun("mu-", pt="300 MeV/c", theta="60 deg")
+    >>> result = cg.run("besiii-cgem", gun, n=10)
+    >>> print(result.particles["pdg"][:4], result.tracks["truth_tanl"][:4].round(2))
+    [211  13 211  13] [-0.58  0.58  0.58  0.58]
     """
 
     particle: str | int

@@ -94,6 +94,12 @@ class EventSample(Source):
     ------
     ParticleError
         Listing every problem.
+
+    Examples
+    --------
+    >>> muons = cg.sample("cosmic", p=(2.0, 5.0))
+    >>> muons.name, muons.p
+    ('cosmic', (2.0, 5.0))
     """
 
     name: str
@@ -229,6 +235,12 @@ def sample(name: str, **options: Any) -> EventSample:
     ------
     ParticleError
         A ValueError that lists every problem.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.sample("ks-pipi"), n=10)
+    >>> np.unique(result.particles["pdg"]).tolist()
+    [-211, 211]
     """
     known = [f.name for f in fields(EventSample)][1:]
     problems = Problems()

@@ -163,6 +163,13 @@ def label_candidates(
     ------
     ValueError
         If a label is missing, or there is no such particle.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> found = cg.label_candidates(r.clusters, r.wire_hits, r.clusters["event"], r.wire_hits["event"])
+    >>> len(found["candidates"]), sorted(found)
+    (5, ['candidate_hits', 'candidates'])
     """
     labels = [np.asarray(label) for label in (cluster_label, wire_label)]
     problems = kind_problems(clusters=clusters, wire_hits=wire_hits)

@@ -133,6 +133,13 @@ def cluster(
     TypeError, ValueError
         If a digi is not in the detector, there is no such read-out, or a clusterer from outside the package makes
         anything but clusters of the same events.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> clusters = cg.cluster(r.detector, r.digis, readout="binary")
+    >>> len(clusters) == len(r.clusters), np.unique(clusters["view"]).tolist()
+    (True, [0, 1, 2])
     """
     clusterer = clusterer_of(readout)
     found = clusterer.cluster(load(detector), digis, settings or ClusterSettings(), directions)

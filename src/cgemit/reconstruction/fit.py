@@ -96,6 +96,13 @@ class FitSettings(SettingsData):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(fit=cg.FitSettings(hypothesis="pi", states=("beam_pipe",)))
+    >>> result = cg.run("besiii-cgem", cg.Gun("pi-", p=0.5, cos_theta=0.0), n=5, settings=settings)
+    >>> result.tracks["hypothesis"].tolist(), len(result.states)
+    ([211, 211, 211, 211, 211], 5)
     """
 
     cluster_errors: ClusterErrors = "track"
@@ -222,6 +229,13 @@ def fit(
         If the settings are something else.
     ValueError
         Listing every problem of the hits or the start.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> tracks = cg.fit(r.detector, r.clusters, r.wire_hits, r.candidates, r.candidate_hits)["tracks"]
+    >>> print(tracks["p"].round(1), [cg.FitStatus(status).name for status in tracks["status"][:1]])
+    [1. 1. 1. 1. 1.] ['ok']
     """
     detector, settings = load(detector), FitSettings() if settings is None else settings
     if not isinstance(settings, FitSettings):

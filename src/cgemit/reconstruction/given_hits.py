@@ -255,6 +255,14 @@ def fit_hits(
     ------
     ValueError
         Listing everything that is wrong with the columns or the hits, by their rows as given.
+
+    Examples
+    --------
+    >>> hits = {"layer": [0, 1, 2], "phi": [0.3770, 0.3631, 0.3504], "z": [16.6, 25.3, 34.0],  # rad, mm
+    ...         "err_phi": [1.8e-3, 1.2e-3, 0.5e-3], "err_z": [0.3, 0.4, 0.3]}
+    >>> tracks = cg.fit_hits("besiii-cgem", clusters=hits)["tracks"]
+    >>> print(cg.FitStatus(tracks["status"][0]).name, tracks["tanl"].round(2))
+    ok [0.2]
     """
     detector = load(detector)
     problems: list[str] = []

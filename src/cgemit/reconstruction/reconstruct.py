@@ -60,6 +60,13 @@ def reconstruct(
         If the settings are something else.
     ValueError
         Listing every problem of the tables, as finder and fit do.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5, until="cluster")
+    >>> tables = cg.reconstruct(r.detector, r.clusters, r.wire_hits, cg.find_tracks)
+    >>> tables["tracks"]["n_clusters"].tolist()
+    [6, 6, 6, 6, 6]
     """
     tables: dict[str, Table] = {}
     measured, settings = Hits(clusters, wire_hits, digis), FitSettings() if settings is None else settings

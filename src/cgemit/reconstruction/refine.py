@@ -58,6 +58,14 @@ class RefineSettings(SettingsData):
     ------
     SettingsError
         A ValueError that lists every invalid value.
+
+    Examples
+    --------
+    >>> refine = cg.RefineSettings(drift_times="raw", start_time="fitted")
+    >>> settings = cg.Settings(digitize=cg.DigitizeSettings(wire_times="raw"), refine=refine)
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5, settings=settings)
+    >>> bool(np.abs(result.start_times["start_time"]).max() < 5)  # ns
+    True
     """
 
     drift_times: Literal["corrected", "raw"] = "corrected"
@@ -339,7 +347,13 @@ PROBE = 2.0
 
 
 class StartTimeStatus(enum.IntEnum):
-    """How the fit of a start time ended; 0 is good."""
+    """How the fit of a start time ended; 0 is good.
+
+    Examples
+    --------
+    >>> cg.StartTimeStatus.ok.value, [status.name for status in cg.StartTimeStatus][:3]
+    (0, ['ok', 'no_track', 'not_converged'])
+    """
 
     ok = 0
     no_track = 1
@@ -562,6 +576,11 @@ def refinements(settings: RefineSettings) -> list[Refinement]:
     Parameters
     ----------
     settings : RefineSettings
+
+    Examples
+    --------
+    >>> [type(one).__name__ for one in cg.refinements(cg.RefineSettings(drift_times="raw", start_time="fitted"))]
+    ['DriftTimes', 'StartTime']
     """
     found: list[Refinement] = [DriftTimes()] if settings.drift_times == "raw" else []
     return [*found, StartTime(settings.start_time_error)] if settings.start_time == "fitted" else found

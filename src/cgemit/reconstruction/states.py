@@ -134,6 +134,13 @@ def extrapolate(
     ------
     ValueError
         Listing every invalid argument, or every problem of the detector.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> states = cg.extrapolate(result.detector, result.fitted, radius=900.0)
+    >>> print(np.hypot(states["pivot_x"], states["pivot_y"]).round(3))
+    [900. 900. 900. 900. 900.]
     """
     problems = _start_problems(table, radius, particle, screening, loss)
     if problems:

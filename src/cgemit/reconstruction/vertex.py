@@ -82,6 +82,14 @@ class BeamSpot(SettingsData):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.sample("jpsi-rhopi"), n=10)
+    >>> spot = cg.BeamSpot(sigma=(0.4, 0.006, 12.0))  # mm
+    >>> vertices = cg.fit_vertices(result.detector, result.fitted, beam_spot=spot)
+    >>> bool((vertices["err_y"] < 0.0061).all())
+    True
     """
 
     position: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
@@ -106,6 +114,12 @@ def pair_tracks(tracks: Table, particles: tuple[str, str] | None = None) -> Rows
     ------
     ValueError
         If `particles` are not two of the hypotheses.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.sample("jpsi-rhopi"), n=3)
+    >>> cg.pair_tracks(result.fitted).tolist()
+    [[2, 3], [5, 4]]
     """
     if particles is not None and not _are_hypotheses(particles):
         raise ValueError(f"particles: got {particles!r:.60}, expected two of {', '.join(map(repr, HYPOTHESES))}")
@@ -237,7 +251,13 @@ _SINGULAR = 1e-14  # ratio of the eigenvalues of the inverse covariance
 
 
 class VertexStatus(enum.IntEnum):
-    """How a vertex fit ended; 0 is good."""
+    """How a vertex fit ended; 0 is good.
+
+    Examples
+    --------
+    >>> cg.VertexStatus.ok.value, [status.name for status in cg.VertexStatus]
+    (0, ['ok', 'no_track', 'singular', 'not_converged'])
+    """
 
     ok = 0
     no_track = 1
@@ -306,6 +326,13 @@ def fit_vertices(
     ------
     ValueError
         Listing every problem of the arguments.
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.sample("ks-pipi"), n=20)
+    >>> vertices = cg.fit_vertices(result.detector, result.fitted)
+    >>> float(np.median(vertices["mass"]).round(2))  # of the K_S, GeV/c2
+    0.5
     """
     rows = checked_pairs(tracks, pairs, particles, beam_spot)
     rows = rows[np.argsort(tracks["event"][rows[:, 0]], kind="stable")]

@@ -61,6 +61,13 @@ class BackgroundSettings(SettingsData):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(background=cg.BackgroundSettings(cells=0.05))
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5, settings=settings)
+    >>> len(result.wire_hits) > 5 * len(result.wire_truths)
+    True
     """
 
     level: Level = "off"
@@ -146,6 +153,13 @@ def add_background(
     ------
     ValueError
         If the detector has no such level, or the mixed events are of another detector.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> noisy = cg.add_background(r.detector, r.digis, r.wire_hits, cg.BackgroundSettings(cells=0.05), seed=1)
+    >>> len(noisy["wire_hits"]) > 5 * len(r.wire_hits)
+    True
     """
     level = level_of(detector, settings)
     if settings.events:
@@ -382,6 +396,14 @@ def mix_events(
         Listing what is wrong with the tables, the range and the seed.
     FileNotFoundError
         If there is no such folder.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> other = cg.run("besiii-cgem", cg.Gun("pi+", p=0.5, cos_theta=0.2), n=5, seed=2)
+    >>> mixed = cg.mix_events(r.detector, r.digis, r.wire_hits, other.tables)
+    >>> len(r.digis) < len(mixed["digis"])
+    True
     """
     detector = load(detector)
     problems = _argument_problems(digis, wire_hits, other, offset, seed)

@@ -135,6 +135,12 @@ class DigitizeSettings(SettingsData):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian", wire_times="raw"))
+    >>> settings.digitize.readout
+    GaussianReadout(sigma_x=0.1387, sigma_v=0.1327, gain=12000.0)
     """
 
     readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.register_readout"))
@@ -194,6 +200,13 @@ def digitize(
         If a layer or wire is not in the detector, a value is not finite, a step does not belong to its truth or has
         invalid values, raw drift times are asked for and the detector does not say how signals run along its wires, or
         a digitizer from outside the package makes anything but digis of the same events.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> tables = cg.digitize(r.detector, r.truths, r.wire_truths, seed=2)
+    >>> len(tables["wire_hits"]) == len(r.wire_truths), bool((tables["digis"]["charge"] > 0).all())
+    (True, True)
     """
     detector, settings = load(detector), settings or DigitizeSettings()
     if steps is None:

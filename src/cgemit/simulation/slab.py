@@ -488,6 +488,12 @@ def slab(
     ------
     SlabError
         Listing every problem.
+
+    Examples
+    --------
+    >>> found = cg.slab("Kapton 300 um", "pi-", p=0.5, n=2000)
+    >>> round(found.core_mrad, 3), round(found.highland_mrad, 3)
+    (0.639, 0.681)
     """
     order = _check(matter, particle, p, n, seed, screening)
     parts = [(layer.material, layer.thickness) for layer in order.layers]

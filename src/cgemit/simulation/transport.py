@@ -55,6 +55,13 @@ class SimulateSettings(SettingsData):
     ------
     ValueError
         Listing every value that is not one of these, and values that do not go together.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(simulate=cg.SimulateSettings(fluctuations="off", deltas=False))
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5, settings=settings)
+    >>> print(result.truths["secondaries"].max())
+    0
     """
 
     fluctuations: Fluctuations = "full"
@@ -109,6 +116,13 @@ def simulate(
     ------
     ParticleError
         Listing every problem of the particles.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> tables = cg.simulate(r.detector, r.particles, seed=2)
+    >>> sorted(tables), np.bincount(tables["truths"]["layer"]).tolist()
+    (['decays', 'particles', 'steps', 'truths', 'wire_truths'], [5, 5, 5])
     """
     check_particles(particles)
     out = _core.simulate(**core_arguments(load(detector), particles, settings or SimulateSettings(), seed))

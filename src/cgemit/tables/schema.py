@@ -28,6 +28,12 @@ class Column:
         The table whose rows the column counts (-1: none). A tuple picks the table by the row's `view`.
     shape : tuple of int
         Shape of one entry; ``()`` is a plain number.
+
+    Examples
+    --------
+    >>> from cgemit.tables import SCHEMAS
+    >>> [column.name for column in SCHEMAS["digis"] if column.unit == "fC"]
+    ['charge']
     """
 
     name: str

@@ -50,6 +50,14 @@ def save_tables(
         If one of the files exists and `overwrite` is false; nothing is written then.
     ValueError
         If the format is unknown, needs a package that is not installed, or cannot hold a column.
+
+    Examples
+    --------
+    >>> from cgemit.tables import save_tables
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2)
+    >>> files = save_tables({"particles": result.particles}, "particles")
+    >>> [file.name for file in files]
+    ['particles.npz', 'tables.json']
     """
     folder, suffix = Path(directory), FORMATS[check_format(format)].suffix
     paths = {name: folder / f"{name}{suffix}" for name in tables}
@@ -159,6 +167,15 @@ def concatenate(chunks: Sequence[Mapping[str, Table]], *, gaps: bool = False) ->
     ------
     ValueError
         If chunks are missing, do not follow each other, or lack a table that is linked to.
+
+    Examples
+    --------
+    >>> from cgemit.tables import concatenate
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    >>> r = cg.run("besiii-cgem", gun, n=4)
+    >>> parts = [r.select_events(0, 2).tables, r.select_events(2, 4).tables]
+    >>> concatenate(parts)["clusters"] == r.clusters
+    True
     """
     if not chunks:
         raise ValueError("chunks: expected at least one")
@@ -208,6 +225,14 @@ def select_events(tables: Mapping[str, Table], first: int, stop: int) -> dict[st
         If the tables do not cover the events.
     ValueError
         If a table that is linked to is missing.
+
+    Examples
+    --------
+    >>> from cgemit.tables import select_events
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=4)
+    >>> later = select_events(result.tables, 2, 4)
+    >>> later["particles"]["event"].tolist()
+    [2, 3]
     """
     problems = [
         f"{name}: links to {target}, which is missing"
@@ -492,5 +517,13 @@ def load_tables(directory: str | os.PathLike[str]) -> dict[str, Table]:
         If the directory holds no complete set of tables.
     ValueError
         If a file is damaged or missing, or tables are not those that ``tables.json`` describes.
+
+    Examples
+    --------
+    >>> from cgemit.tables import load_tables, save_tables
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2)
+    >>> files = save_tables(result.tables, "tables")
+    >>> load_tables("tables")["digis"] == result.digis
+    True
     """
     return dict(StoredTables(directory))

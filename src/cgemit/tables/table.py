@@ -113,6 +113,23 @@ class Row(dict[str, Any]):
     kind : str
         Of the table.
     values : mapping of str to value
+
+    Examples
+    --------
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2)
+    >>> result.particles[1]
+    event     1
+    particle  0
+    pdg       13
+    charge    -1 e
+    mass      0.105658 GeV/c2
+    x         0 mm
+    y         0 mm
+    z         0 mm
+    px        0.997649 GeV/c
+    py        -0.0685292 GeV/c
+    pz        0 GeV/c
+    status    0
     """
 
     def __init__(self, kind: str, values: Mapping[str, Any]) -> None:
@@ -154,6 +171,13 @@ class Table:
     ------
     ValueError
         Listing every problem of the columns.
+
+    Examples
+    --------
+    >>> clusters = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5).clusters
+    >>> x = clusters[clusters["view"] == 0]
+    >>> len(x), x["layer"][:3].tolist(), int(x[1]["layer"]), len(x.head())
+    (15, [0, 1, 2], 1, 5)
     """
 
     __slots__ = ("_gaps", "columns", "first_event", "kind", "meta", "n_events", "offsets")

@@ -42,6 +42,13 @@ class ClusterSettings(SettingsData):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(cluster=cg.ClusterSettings(position="charge"))
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5, readout="tiger", settings=settings)
+    >>> result.settings.cluster.position
+    'charge'
     """
 
     position: Position = "centre"

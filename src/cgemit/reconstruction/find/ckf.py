@@ -75,6 +75,13 @@ class FindSettings(SettingsData):
     ------
     ValueError
         Listing every invalid value.
+
+    Examples
+    --------
+    >>> settings = cg.Settings(find=cg.FindSettings(min_pt=0.05))
+    >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5, finder="ckf", settings=settings)
+    >>> len(result.tracks)
+    5
     """
 
     method: Method = "combined"
@@ -140,6 +147,13 @@ def find_tracks(
         If the settings are something else.
     ValueError
         Listing every problem of the tables or their hits.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    >>> found = cg.find_tracks(r.detector, r.clusters, r.wire_hits)
+    >>> found["candidates"]["event"].tolist()
+    [0, 1, 2, 3, 4]
     """
     detector, settings = load(detector), FindSettings() if settings is None else settings
     if not isinstance(settings, FindSettings):

@@ -96,6 +96,14 @@ class Confirmation(TidyResult):
         `to_base_error`: the simulated value over the base's, whose tracks have the same random numbers.
     events : int
         Of each design and point.
+
+    Examples
+    --------
+    >>> space = {"cgem.L2.anode_radius": ("120 mm", "140 mm")}
+    >>> best = cg.study.optimize("besiii-cgem-design", space, "dr", evaluate={"p": 0.5, "samples": 4})
+    >>> checked = best.confirm(events=100)
+    >>> print(checked.events, sorted(set(checked.columns["quantity"])))
+    100 ['sigma_dr (um)']
     """
 
     columns: dict[str, list[Any]]
@@ -239,6 +247,13 @@ class Optimization(TidyResult):
         Where the hypervolume ends: the largest objectives of the allowed designs of the first population.
     hypervolume_error : float
         From leaving out groups of tracks (jackknife).
+
+    Examples
+    --------
+    >>> space = {"cgem.L2.anode_radius": ("120 mm", "140 mm")}
+    >>> best = cg.study.optimize("besiii-cgem-design", space, "dr", evaluate={"p": 0.5, "samples": 4})
+    >>> round(best.detector().cgem["L2"].anode_radius, 1)  # mm
+    120.0
     """
 
     columns: dict[str, list[Any]]

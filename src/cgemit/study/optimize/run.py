@@ -114,6 +114,16 @@ def optimize(
         Listing every problem of the arguments.
     OutputExistsError
         If the folder holds files that are none of an optimization.
+
+    Examples
+    --------
+    >>> space = {"cgem.L2.anode_radius": ("120 mm", "140 mm")}
+    >>> best = cg.study.optimize("besiii-cgem-design", space, "dr", evaluate={"p": 0.5, "samples": 4})
+    >>> best
+    besiii-cgem-design, gradient: 10 designs, 6 gradients; Optimization terminated successfully
+    design  cgem.L2.anode_radius (mm)  sigma_dr (um)
+    base                        132.5         224.87
+    10                            120         223.72
     """
     problems = Problems()
     start = load(base)

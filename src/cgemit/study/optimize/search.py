@@ -62,6 +62,12 @@ class Search(SettingsData):
         sequence in all ranges; the best one counts.
     seed : int
         Of "nsga2", and of the starts.
+
+    Examples
+    --------
+    >>> search = cg.study.Search(method="cobyla", calls=50)
+    >>> search.method, search.calls, search.seed
+    ('cobyla', 50, 1)
     """
 
     method: Method | None = None

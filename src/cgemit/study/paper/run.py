@@ -86,6 +86,12 @@ def reproduce(
         If the folder holds files and `overwrite` is false.
     ValueError
         If events, seed or threads are no such numbers, there is no such field, or too few tracks are fitted at 1 GeV/c.
+
+    Examples
+    --------
+    >>> study = cg.study.reproduce(events=400)  # 20 000 by default
+    >>> [(row.id, row.unit) for row in study.results if row.id in ("sigma_dr", "sigma_dz", "sigma_p")]
+    [('sigma_dr', 'um'), ('sigma_dz', 'mm'), ('sigma_p', 'MeV/c')]
     """
     events = events if events is not None else _QUICK_EVENTS if quick else _EVENTS
     check_numbers("study", seed, threads, events=(events, _FEWEST_EVENTS, 2**31 - 1))

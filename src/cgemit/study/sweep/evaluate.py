@@ -84,6 +84,12 @@ class Evaluation(SettingsData):
     ------
     SettingsError
         Listing every problem.
+
+    Examples
+    --------
+    >>> evaluation = cg.study.Evaluation(p=[0.3, 1.0], quantities=["d_rho", "p"])
+    >>> evaluation.method, evaluation.quantities
+    ('analytic', ('dr', 'p'))
     """
 
     method: Literal["analytic", "mc"] | Function = "analytic"

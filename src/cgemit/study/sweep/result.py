@@ -76,6 +76,13 @@ class Sweep(TidyResult):
     evaluation : Evaluation
     bases : tuple of Detector
         The detector that each row's variant changes, by variant.
+
+    Examples
+    --------
+    >>> variants, evaluation = {"cgem.*.pitch_x": ["400 um"]}, {"p": 1.0, "quantities": ["dr"]}
+    >>> swept = cg.study.sweep("besiii-cgem-design", variants, evaluation)
+    >>> [round(sigma) for sigma in swept.columns["sigma_dr (um)"]], swept.detector(1).cgem["L1"].pitch_x
+    ([168, 133], 0.4)
     """
 
     columns: dict[str, list[Any]]

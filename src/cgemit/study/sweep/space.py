@@ -29,7 +29,16 @@ _QUANTITY = re.compile(r"\s*(x|×)?\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?
 
 
 class PlanError(ProblemsError):
-    """The plan of a study with mistakes, in a file or in Python; `problems` lists them all."""
+    """The plan of a study with mistakes, in a file or in Python; `problems` lists them all.
+
+    Examples
+    --------
+    >>> try:
+    ...     cg.study.sweep("besiii-cgem", {"cgem.L1.pitch_y": ["400 um"]})
+    ... except cg.study.PlanError as error:
+    ...     print(error.problems[0].path, error.problems[0].hint)
+    cgem.L1.pitch_y did you mean "pitch_x"?
+    """
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,12 @@ class Space:
         What each variant changes.
     axes : mapping of str to tuple
         Of a grid: the values of each key; the last key changes fastest.
+
+    Examples
+    --------
+    >>> space = cg.study.grid({"cgem.L1.pitch_x": ["400 um", "650 um"], "field.bz": ["0.9 T", "1 T"]})
+    >>> space.kind, len(space.variants)
+    ('grid', 4)
     """
 
     kind: str
@@ -72,6 +87,12 @@ def grid(axes: Mapping[str, Sequence[Any]]) -> Space:
     ------
     PlanError
         If an axis has no values, or the same value twice.
+
+    Examples
+    --------
+    >>> space = cg.study.grid({"cgem.L1.pitch_x": ["400 um", "650 um"], "field.bz": ["0.9 T", "1 T"]})
+    >>> dict(space.variants[1])
+    {'cgem.L1.pitch_x': '400 um', 'field.bz': '1 T'}
     """
     problems = Problems()
     count = 1
@@ -134,6 +155,12 @@ def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
     ------
     PlanError
         With every problem of the ranges.
+
+    Examples
+    --------
+    >>> space = cg.study.sobol({"cgem.L1.pitch_x": ("400 um", "650 um")}, 4)
+    >>> space.kind, len(space.variants)
+    ('sobol', 4)
     """
 
     def points(dimensions: int) -> Any:
@@ -159,6 +186,12 @@ def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Spac
     ------
     PlanError
         With every problem of the ranges.
+
+    Examples
+    --------
+    >>> space = cg.study.latin_hypercube({"cgem.L1.pitch_x": ("400 um", "650 um")}, 4)
+    >>> space.kind, len(space.variants)
+    ('latin_hypercube', 4)
     """
     return _sampled(
         "latin_hypercube", ranges, (n, seed),
