@@ -44,6 +44,7 @@ COMMANDS = {
     "show": "tables of material and read-out, pictures",
     "validate": "check detector files, listing every problem",
     "settings": "print the settings of all stages as a file",
+    "notebooks": "write the notebooks of the documentation",
 }
 
 _DESCRIPTION = """\
