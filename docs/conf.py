@@ -34,6 +34,7 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_merge_streams = True
+nb_output_stderr = "error"
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say more
