@@ -1,5 +1,10 @@
 """Settings of all tests. The folder `helpers` is on the path, so that tests import them by name."""
 
+import os
+
+# Tests run in a process for each core: threads of OpenBLAS would only wait for each other. Read when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 
