@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,6 +125,7 @@ def _along(matrix: Floats, values: Floats, axis: int) -> Floats:
     return np.asarray(np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis), dtype=np.float64)
 
 
+@lru_cache(maxsize=16)
 def _spline_matrix(points: int, parity: float = 0.0) -> Floats:
     """Return the matrix (points + 2, points) from values to coefficients; `parity` about the first point, or 0."""
     equations = np.zeros((points + 2, points + 2))
