@@ -116,19 +116,19 @@ def test_angles_without_field(
 def test_charge_at_the_angles_that_were_tuned() -> None:
     """Published: 128 fC at 0 and 170 fC at 20 degrees; with the gain of 39 000 a quarter less."""
     for angle, published in ((0.0, 128.0), (20.0, 170.0)):
-        assert beam_views(PLANE, TUNED, angle, n=1500, threads=1)[0].charge == pytest.approx(published, rel=0.1)
-        assert beam_views(PLANE, BEAM, angle, n=1500, threads=1)[0].charge < 0.8 * published
+        assert beam_views(PLANE, TUNED, angle, n=400, threads=1)[0].charge == pytest.approx(published, rel=0.1)
+        assert beam_views(PLANE, BEAM, angle, n=400, threads=1)[0].charge < 0.8 * published
 
 
 @pytest.mark.slow
 def test_field_of_one_tesla_at_both_angles() -> None:
     """At +25 degrees the track lies along the drift: a sharp centroid. At -25 degrees the line fit is better."""
-    normal = beam_views(FIELD, Apv25Readout(), 0.0, n=3000, particle="mu-", p=1.0, threads=1)[0]
+    normal = beam_views(FIELD, Apv25Readout(), 0.0, n=1000, particle="mu-", p=1.0, threads=1)[0]
     assert normal.efficiency > 0.99  # at a gain of 12 000
     assert normal.widths["merged"].core < 150
     assert normal.widths["micro-tpc"].core < 160
     assert normal.widths["track"].core < 0.95 * normal.widths["merged"].core
-    along, against = (beam_views(FIELD, BEAM, angle, n=3000, threads=1)[0] for angle in (25.0, -25.0))
+    along, against = (beam_views(FIELD, BEAM, angle, n=1000, threads=1)[0] for angle in (25.0, -25.0))
     assert along.widths["centroid"].core < 70
     assert along.widths["micro-tpc"].core > 500
     assert 500 < against.widths["centroid"].core < 680
@@ -184,11 +184,11 @@ def as_expected(
 @pytest.mark.parametrize("readout", CALIBRATED, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
 def test_analytic_errors_are_those_of_tracks(readout: AnalogReadout | ProjectionReadout) -> None:
     """The covariance takes the typical errors of the calibration."""
-    as_expected(readout, (-0.93, 0.93), 20_000)
+    as_expected(readout, (-0.93, 0.93), 8000)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cos_theta", [-0.8, -0.4, 0.0, 0.4, 0.8])
+@pytest.mark.parametrize("cos_theta", [-0.8, 0.0, 0.4])
 @pytest.mark.parametrize("readout", CALIBRATED, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
 def test_analytic_errors_at_one_angle(
     readout: AnalogReadout | ProjectionReadout, cos_theta: float, monkeypatch: pytest.MonkeyPatch
@@ -209,9 +209,7 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     These, 3 % of all, have a bias and no Gaussian core: their errors must be of the right order.
     """
     readout = TigerReadout(second_pass=second_pass)
-    result = run(
-        load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 12_000, seed=8, readout=readout
-    )
+    result = run(load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 6000, seed=8, readout=readout)
     clusters = result.fitted_hits[0]
     own = truth.own_clusters(result.detector, clusters, result.truths)
     pull = truth.residuals(result.detector, clusters, result.truths, own)

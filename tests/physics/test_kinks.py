@@ -24,7 +24,7 @@ GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
 
 
 @cache
-def sample(kinks: bool, gun: cg.Gun = GUN, n: int = 7) -> cg.Result:
+def sample(kinks: bool, gun: cg.Gun = GUN, n: int = 4) -> cg.Result:
     """Fit with or without kinks; the same tracks."""
     fit = FitSettings(tolerance=1e-4, max_iterations=30, outlier_pull=0, kinks=kinks)
     return cg.run("besiii-cgem-design", gun, n, seed=5, settings=dataclasses.replace(EXACT, fit=fit))
@@ -86,7 +86,7 @@ def test_fit_is_the_best_track() -> None:
     with_kinks, without = sample(True), sample(False)
     assert (with_kinks.tracks["status"] == 0).all()
     away: dict[bool, list[np.ndarray]] = {True: [], False: []}
-    for track in range(7):
+    for track in range(4):
         helix, chi_square = best(with_kinks, track)
         sigma = np.sqrt(np.diag(with_kinks.tracks["cov"][track]))
         for kinks, result in ((True, with_kinks), (False, without)):

@@ -81,7 +81,7 @@ def test_the_gate_sees_the_model() -> None:
 def test_found_widths_are_optimal(p: float, cos_theta: float) -> None:
     """Where all is Gaussian, core widths of fitted tracks are within 3 % of the optimum; pulls and residuals agree."""
     point = Point("gaussian", "besiii-cgem-design", "mu-", p, cos_theta)
-    pulls, chi2, residuals, widths = measure_point(point, 8000, 2)
+    pulls, chi2, residuals, widths = measure_point(point, 8000, 2, some=3)
     assert {row.quantity for row in widths} == {"dr", "dz", "p"}
     assert len(residuals) == 3 + 3 + 35
     assert all(row.agrees for row in (*pulls, *residuals, *widths, chi2))
@@ -101,7 +101,7 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
 def test_mean_pulls_where_the_error_depends_on_the_estimate() -> None:
     """Slow, slanting pions: the pulls of dz and tanl have the means that the optimal estimate must have, and not 0."""
     point = Point("gaussian", "besiii-cgem-design", "pi-", 0.2, 0.8)
-    pulls = {row.parameter: row for row in measure_point(point, 40_000, None)[0]}
+    pulls = {row.parameter: row for row in measure_point(point, 40_000, None, some=1)[0]}
     for name in ("dz", "tanl"):
         row = pulls[name]
         assert abs(row.mean) > N_SIGMA * row.mean_error

@@ -56,7 +56,7 @@ def no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def results(point: Point) -> FitResults:
     """Return what the validation measures at a point."""
-    pulls, chi2, residuals, widths = measure_point(point, TRACKS, 2)
+    pulls, chi2, residuals, widths = measure_point(point, TRACKS, 2, some=3)
     return FitResults(pulls, [chi2], residuals, widths, losses=[], sides=[], known=[])
 
 

@@ -293,7 +293,8 @@ def test_predictions_are_on_the_path(name, bz, charge, shape):
     momentum = [start[c][0] for c in ("px", "py", "pz")]
     pt, tanl = abs(1 / parameters[2]), parameters[4]
     circle = helix_point(position, momentum, charge, bz)
-    for i in range(len(predicted)):
+    wires = np.flatnonzero(hits["kind"] == 2)
+    for i in [*np.flatnonzero(hits["kind"] < 2), *wires[::4]]:
         kind, number, channel = hits["kind"][i], hits["layer"][i], hits["channel"][i]
         layer = detector.cgem[number] if kind < 2 else wire_layer(detector, number)
         _, arcs, reached = _core._testing.step_to_cylinder(circle[None], layer.r_mid)
