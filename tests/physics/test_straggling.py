@@ -81,7 +81,7 @@ def test_quantiles_of_the_loss(matter, thickness, p, mass, pieces):
     """The median is within 1 % and the 99 % quantile within 5 % of the convolution, in one piece or ten."""
     expected = vavilov_quantiles(*straggling(matter, thickness, p, mass))
     found = np.quantile(
-        losses(matter, thickness, p, mass, n=400_000 if pieces == 1 else 150_000, pieces=pieces), FRACTIONS
+        losses(matter, thickness, p, mass, n=200_000 if pieces == 1 else 100_000, pieces=pieces), FRACTIONS
     )
     # In pieces, slow particles slow down on the way: 0.8 % for the kaon.
     assert found[:4] == pytest.approx(expected[:4], rel=0.01)

@@ -29,7 +29,7 @@ from pages.fit import (
     wrong_sides,
 )  # fmt: skip
 
-TRACKS = 2000
+TRACKS = 1000
 
 
 def some_points() -> list[Point]:

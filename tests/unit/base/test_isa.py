@@ -254,11 +254,13 @@ def test_analog_strips_do_not_depend_on_the_chunks(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", LANES)
-@pytest.mark.parametrize("field", ["uniform", *MAPS])
+@pytest.mark.parametrize(
+    ("field", "name"),
+    [*(("uniform", name) for name in LANES), *((field, LANES[-1]) for field in (HARMONIC, "finite-solenoid"))],
+)
 @pytest.mark.parametrize(
     ("particle", "p", "events"),
-    [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 250), ("p", (0.2, 0.35), 300), ("mu-", (0.05, 1.0), 300)],
+    [("pi-", (0.15, 0.4), 40), ("pi-", (0.05, 0.1), 150), ("p", (0.2, 0.35), 150), ("mu-", (0.05, 1.0), 150)],
 )
 def test_a_track_does_not_know_its_neighbours(
     particle: str, p: tuple[float, float], events: int, field: str, name: str

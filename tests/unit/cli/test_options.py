@@ -406,9 +406,10 @@ def closed(words: list[str], stream: str, folder: Path) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
 def test_a_closed_pipe_leaves_no_files_out(stream: str, tmp_path: Path) -> None:
-    assert closed(["show", DESIGN, "-o", "pictures"], stream, tmp_path) == 0
-    pictures = {f"{picture}.{end}" for picture in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
-    assert pictures < {path.name for path in (tmp_path / "pictures").iterdir()}
+    if stream == "stdout":  # where `show` prints
+        assert closed(["show", DESIGN, "-o", "pictures"], stream, tmp_path) == 0
+        pictures = {f"{picture}.{end}" for picture in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
+        assert pictures < {path.name for path in (tmp_path / "pictures").iterdir()}
     words = command_line(["simulate"], SIMULATE, Row("", []))
     assert closed([*words, "-o", "run"], stream, tmp_path) == 0
     assert Result.load(tmp_path / "run") == simulated()

@@ -74,17 +74,14 @@ def test_ranges_and_lists_of_angles():
 @pytest.mark.parametrize(
     ("words", "settings", "change"),
     [
-        (["--set", "digitize.readout=gaussian"], Settings(digitize=DigitizeSettings(readout="gaussian")),
-         {"readout": "gaussian"}),
-        (["--set", "digitize.reveal_sides=true"], Settings(digitize=DigitizeSettings(reveal_sides=True)),
-         {"reveal_sides": True}),
-        (["--set", "fit.loss=mean"], Settings(fit=FitSettings(loss="mean")), {"fit": FitSettings(loss="mean")}),
-        (["--cos-theta=-0.5:0.5"], None, {"cos_theta": (-0.5, 0.5)}),
-        (["--particle", "p"], None, {"particle": "p"}),
-        (["--set", "cgem.L2.pitch_x=500 um"], None,
-         {"detector": cg.load(DESIGN).with_overrides({"cgem.L2.pitch_x": "500 um"})}),
-        (["--threads", "1"], None, {}),
-        (["--events", "7"], None, {}),
+        (["--set", "digitize.readout=gaussian", "--set", "digitize.reveal_sides=true"],
+         Settings(digitize=DigitizeSettings(readout="gaussian", reveal_sides=True)),
+         {"readout": "gaussian", "reveal_sides": True}),
+        (["--set", "fit.loss=mean", "--cos-theta=-0.5:0.5"], Settings(fit=FitSettings(loss="mean")),
+         {"fit": FitSettings(loss="mean"), "cos_theta": (-0.5, 0.5)}),
+        (["--set", "cgem.L2.pitch_x=500 um", "--particle", "p"], None,
+         {"detector": cg.load(DESIGN).with_overrides({"cgem.L2.pitch_x": "500 um"}), "particle": "p"}),
+        (["--threads", "1", "--events", "7"], None, {}),
     ],
 )  # fmt: skip
 def test_options_are_arguments_of_python(words, settings, change, tmp_path):

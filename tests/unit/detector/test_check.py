@@ -488,7 +488,6 @@ def test_dollars_are_drawn_as_they_are(tmp_path, capsys):
         draw_detector(detector), draw_sides(detector), draw_layers(detector), draw_resolutions([("σ(p)", [line])], "p"),
         draw_pulls(pulls, words), draw_probabilities({detector.name: np.array([0.5])}),
     ):  # fmt: skip
-        picture.savefig(tmp_path / "x.png")
         picture.savefig(tmp_path / "x.pdf")
         texts += [text.get_text().replace(r"\$", "$") for text in picture.findobj(Text)]
     for wanted in (detector.name, "L1$^$", "K$^$"):

@@ -77,7 +77,7 @@ def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["readout", "--calibrate", str(file)]) == 2
     assert main([*scan, "--bz", "1.5"]) == 2
     assert "expected 0 to 1.2 T" in capsys.readouterr().err
-    calibrate = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4"]
+    calibrate = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4", "-n", "8000"]
     assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 0
     assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 2
     printed = capsys.readouterr()
