@@ -63,7 +63,7 @@ POINTS = [("mu-", 0.2, 0.0), ("mu-", 1.0, 0.5), ("pi+", 0.5, 0.8), ("K+", 0.4, 0
 POINTS += [("K+", 0.8, 0.9)]
 
 
-@pytest.mark.parametrize("detector", ["besiii-cgem-design", "besiii-idc"])
+@pytest.mark.parametrize("detector", ["besiii-cgem-design", pytest.param("besiii-idc", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("particle", "p", "cos_theta"), POINTS)
 def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: float, cos_theta: float) -> None:
     """Where the fit's assumptions hold: 2 % or 3 standard errors."""
@@ -77,7 +77,7 @@ def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: f
         assert abs(1.05 * ratio - 1) > 0.02  # 5 % more would be seen
 
 
-@pytest.mark.parametrize("detector", ["besiii-cgem-design", "besiii-cgem"])
+@pytest.mark.parametrize("detector", ["besiii-cgem-design", pytest.param("besiii-cgem", marks=pytest.mark.slow)])
 def test_binary_clusters_are_a_mixture(detector: str) -> None:
     """RMS of the mixture, with sizes that the strips under the track decide; its core up to the shape of the errors."""
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9))

@@ -256,7 +256,8 @@ def test_analog_strips_do_not_depend_on_the_chunks(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("field", "name"),
-    [*(("uniform", name) for name in LANES), *((field, LANES[-1]) for field in (HARMONIC, "finite-solenoid"))],
+    [("uniform", name) for name in LANES]
+    + [(field, name) for field in (HARMONIC, "finite-solenoid") for name in LANES[-1:]],
 )
 @pytest.mark.parametrize(
     ("particle", "p", "events"),
