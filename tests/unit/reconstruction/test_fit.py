@@ -796,11 +796,11 @@ def test_a_track_that_gives_up_most_hits_says_so() -> None:
     assert np.array_equal(lost[settled], (tracks["n_outliers"] > used_hits(tracks))[settled])
 
 
-def test_twenty_thousand_tracks_and_garbage():
+def test_tracks_and_garbage():
     """Half of them tracks with all kinds of damage, half nonsense."""
-    counts, found = fuzz.fuzz(20_000, seed=3)
+    counts, found = fuzz.fuzz(6000, seed=3)
     assert not found
-    assert sum(counts.values()) == 20_000
+    assert sum(counts.values()) == 6000
     assert {status for _, status in counts} >= {status.name for status in FitStatus} - {"left_field"}
 
 
