@@ -100,7 +100,7 @@ def random_event(random, n, n_hits, of_clusters):
 @pytest.mark.parametrize("of_clusters", [0.0, 0.5, 1.0])
 def test_the_best_of_all_sets_remains_of_small_groups(of_clusters):
     random, differ, sizes = np.random.default_rng(3), 0, []
-    for _ in range(300):
+    for _ in range(150):
         tracks, wire, along = random_event(random, int(random.integers(2, 12)), 40, of_clusters)
         if not tracks:
             continue

@@ -148,6 +148,7 @@ def test_study_depends_on_the_seed_and_not_on_threads():
     assert all(a.value != b.value for a, b in zip(one.results, other.results, strict=True) if "fraction" not in a.id)
 
 
+@pytest.mark.slow
 def test_what_the_paper_gives_is_printed(study):
     """The other numbers are counted; they are in the results."""
     given = [row.id for row in study.results if row.paper is not None]
@@ -606,15 +607,10 @@ class Tables(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def study_written(tmp_path_factory):
-    return reproduce(tmp_path_factory.mktemp("study") / "out", events=400, seed=5)
-
-
-@pytest.fixture(scope="module")
-def report(study_written):
+def report(study):
     """Return the tables of the report by the heading of their first column."""
     parser = Tables()
-    parser.feed((study_written.folder / "report.html").read_text(encoding="utf-8"))
+    parser.feed((study.folder / "report.html").read_text(encoding="utf-8"))
     return {table[0][0] + "/" + table[0][1]: table for table in parser.tables}
 
 
@@ -628,12 +624,12 @@ def rows_of(path):
 
 
 @pytest.mark.slow
-def test_curves_of_a_study_hold_the_widths_that_they_name(study_written):
+def test_curves_of_a_study_hold_the_widths_that_they_name(study):
     files = {"figure6_d_rho_d_z_vs_p": "res", "figure8_p_vs_p": "res", "pulls_vs_p": "pull"}
     seen = set()
     for name, kind in files.items():
-        for (curve, detector), (x, y, error) in rows_of(study_written.folder / f"{name}.csv").items():
-            samples = next(scan for scan in study_written.scans.values() if scan[0].detector.name == detector)
+        for (curve, detector), (x, y, error) in rows_of(study.folder / f"{name}.csv").items():
+            samples = next(scan for scan in study.scans.values() if scan[0].detector.name == detector)
             parameter = curve.partition("_")[2]
             expected = [widths(sample.tracks, parameter, kind) for sample in samples]
             np.testing.assert_allclose(x, [sample.gun.p for sample in samples])
@@ -642,10 +638,10 @@ def test_curves_of_a_study_hold_the_widths_that_they_name(study_written):
             assert curve.startswith({"res": "sigma_", "pull": "pull_"}[kind])
             seen.add((curve, detector))
     assert len(seen) == 2 * (3 + 6)
-    edges = np.linspace(-0.93, 0.93, 1 + len(rows_of(study_written.folder / "resolution_vs_cos_theta.csv")[
+    edges = np.linspace(-0.93, 0.93, 1 + len(rows_of(study.folder / "resolution_vs_cos_theta.csv")[
         ("sigma_dr_cos_theta", "besiii-idc")][0]))  # fmt: skip
-    for (curve, detector), (x, y, error) in rows_of(study_written.folder / "resolution_vs_cos_theta.csv").items():
-        tracks = next(s.tracks for s in study_written.samples.values() if s.detector.name == detector)
+    for (curve, detector), (x, y, error) in rows_of(study.folder / "resolution_vs_cos_theta.csv").items():
+        tracks = next(s.tracks for s in study.samples.values() if s.detector.name == detector)
         cosine = tracks["truth_tanl"] / np.hypot(1, tracks["truth_tanl"])
         kind, parameter = curve.split("_")[:2]
         for i, found in enumerate(zip(x, y, error, strict=True)):
@@ -655,10 +651,10 @@ def test_curves_of_a_study_hold_the_widths_that_they_name(study_written):
 
 
 @pytest.mark.slow
-def test_table_of_pulls_of_a_study(study_written):
-    columns = read(study_written.folder / "pulls.csv")
+def test_table_of_pulls_of_a_study(study):
+    columns = read(study.folder / "pulls.csv")
     for place, (detector, name) in enumerate(zip(columns["detector"], columns["parameter"], strict=True)):
-        tracks = next(s.tracks for s in study_written.samples.values() if s.detector.name == detector)
+        tracks = next(s.tracks for s in study.samples.values() if s.detector.name == detector)
         w = widths(tracks, name, "pull")
         for what in ("core", "core_mean", "rms", "mean"):
             assert float(columns[what][place]) == pytest.approx(getattr(w, what), rel=1e-6)
@@ -667,13 +663,11 @@ def test_table_of_pulls_of_a_study(study_written):
 
 
 @pytest.mark.slow
-def test_columns_of_the_report(study_written, report):
+def test_columns_of_the_report(study, report):
     """The paper's numbers stand under "paper", ours under "cgemit", Geant4's under the run that they are from."""
     head, *rows = report["quantity/paper"]
     elsewhere = ("x_residual_rms_1mm", "x_residual_rms_2mm", "x_residual_rms_3mm", "x_residual_rms_5mm")
-    by_title = {
-        row.title: row for row in study_written.results if row.id not in elsewhere
-    }  # which have a table of their own
+    by_title = {row.title: row for row in study.results if row.id not in elsewhere}  # which have a table of their own
     assert head[1:3] == ["paper", "cgemit ± statistical error"]
     published = 0
     for title, paper, ours, _ in rows:
@@ -689,7 +683,7 @@ def test_columns_of_the_report(study_written, report):
         assert head[place] == f"Geant4, {shown(one.title)}"
         assert [row[place] for row in rows[: len(one.rms)]] == [str(value) for value in one.rms]
         assert [row[place] for row in rows[len(one.rms) :]] == [str(one.beyond_3mm), str(one.single_strip)]
-    x = 1e3 * study_written.samples["cgem"].clusters.x
+    x = 1e3 * study.samples["cgem"].clusters.x
     for row, window in zip(rows, (1.0, 2.0, 3.0, 5.0), strict=False):
         inside = x[np.abs(x) < 1e3 * window]
         assert float(row[1].split()[0]) == pytest.approx(inside.std(ddof=1), abs=1)
@@ -697,13 +691,13 @@ def test_columns_of_the_report(study_written, report):
 
 
 @pytest.mark.slow
-def test_resolutions_and_removed_rows_of_the_report(study_written, report):
+def test_resolutions_and_removed_rows_of_the_report(study, report):
     for key, kind in (("detector/quantity", "res"), ("detector/pull of", "pull")):
         head, *rows = report[key]
         assert len(rows) == 12
         for row in rows:
             cells = dict(zip(head, row, strict=True))
-            tracks = next(s.tracks for s in study_written.samples.values() if s.detector.name == cells["detector"])
+            tracks = next(s.tracks for s in study.samples.values() if s.detector.name == cells["detector"])
             name = next(n for n in UNITS if QUANTITIES[n].symbol == row[1].split(" (")[0])
             w = widths(tracks, name, kind)
             assert cells["core"] == with_error(w.core, w.core_error)
@@ -712,7 +706,7 @@ def test_resolutions_and_removed_rows_of_the_report(study_written, report):
             assert cells["tail %"] == with_error(100 * w.tail, 100 * w.tail_error)
             assert int(cells["rows"]) == np.count_nonzero(tracks["status"] == 0)
     head, *rows = report["sample/tracks"]
-    samples = [*study_written.samples.values(), *(s for one in study_written.scans.values() for s in one)]
+    samples = [*study.samples.values(), *(s for one in study.scans.values() for s in one)]
     assert [row[0] for row in rows] == [sample.label for sample in samples]
     for row, sample in zip(rows, samples, strict=True):
         cells = dict(zip(head, row, strict=True))
