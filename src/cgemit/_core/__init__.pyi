@@ -2,7 +2,7 @@
 # Arrays go in C-contiguous and are converted to the dtype named here; they come out as new arrays that own the
 # memory of the core. Dicts hold one array per column of the tables in docs/data_model.md.
 import enum
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeAlias, TypedDict
 
 import numpy as np
@@ -328,13 +328,10 @@ def find_charge_time_clusters(
     digis: _Columns,
     *,
     timing: _Columns,
-    delay_charge: npt.ArrayLike,
-    delay: npt.ArrayLike,
-    errors: npt.ArrayLike,
-    shares: npt.ArrayLike,
-    depth: npt.ArrayLike,
-    height: npt.ArrayLike,
-    edges: npt.ArrayLike,
+    delays: _Columns,
+    chip: Mapping[str, float],
+    planes: _Columns,
+    shares: _Columns,
     estimator: str,
     missing: int,
     edge: float,
@@ -343,20 +340,23 @@ def find_charge_time_clusters(
     gain: npt.ArrayLike = ...,
     valley: float = 0.0,
     margin: float,
-    pairs: npt.ArrayLike = ...,
-    slope_errors: npt.ArrayLike,
-    slope_shares: npt.ArrayLike,
-    slope_edges: npt.ArrayLike,
-    charge_factors: npt.ArrayLike,
-    distance_edges: npt.ArrayLike,
-    distance_factors: npt.ArrayLike,
-    direction_slopes: npt.ArrayLike,
-    direction_paths: npt.ArrayLike,
-    direction_depths: npt.ArrayLike,
-    direction_factors: npt.ArrayLike,
+    timed: bool = True,
     slopes: npt.ArrayLike = ...,
     paths: npt.ArrayLike = ...,
 ) -> dict[str, _Array]: ...
+def charge_variances(
+    *,
+    chip: Mapping[str, float],
+    planes: _Columns,
+    shares: _Columns,
+    estimator: str,
+    of_track: bool,
+    view: int,
+    layer: int,
+    slope: npt.ArrayLike,
+    path: npt.ArrayLike,
+    number: npt.ArrayLike,
+) -> _Array: ...
 def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...
 def size_errors(extents: npt.ArrayLike, pitch: float, sizes: int) -> _Array: ...
 def check_hits(detector: Detector, hits: _Columns) -> None: ...

@@ -325,7 +325,7 @@ def _checked(
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, workers.threads, n=(n, 0, most), chunk=(workers.chunk, 1, most))
     kept = found.collect(check_stages, finder, until, workers, keep, given)
-    found.collect(check_calibration, assumed, given, until)
+    found.collect(check_clusterer, assumed, given, until)
     for one in (simulated, assumed) if assumed is not simulated else (simulated,):
         found.collect(check_raw_times, one, given, until)
     source: Any = found.collect(source_of, gun, n)
@@ -338,8 +338,8 @@ def _checked(
     return Job(simulated, assumed, shooter, table, given, seed, finder, until, kept), n_events
 
 
-def check_calibration(detector: Detector | None, settings: Settings | None, until: object) -> None:
-    """Raise an error if the read-out needs a calibration that there is not, before anything is simulated."""
+def check_clusterer(detector: Detector | None, settings: Settings | None, until: object) -> None:
+    """Raise an error if clusters of the read-out cannot be made, before anything is simulated."""
     if detector is not None and settings is not None and until in STAGES[2:]:
         clusterer_of(settings.digitize.readout).check(detector)
 

@@ -37,7 +37,7 @@ COMMANDS = {
     "simulate": "shoot particles and write hits, clusters and tracks as tables",
     "find": "efficiency, fakes and clones of track finding",
     "display": "draw one event",
-    "readout": "resolution of an analog read-out against the incidence; calibrations",
+    "readout": "resolution of an analog read-out against the incidence; errors of its clusters",
     "refit": "fit tracks of BESIII again, beside its own fit",
     "slab": "scattering and energy loss in layers of matter",
     "detectors": "list the detectors that come with cgemit",

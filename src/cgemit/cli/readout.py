@@ -1,4 +1,4 @@
-"""`cgemit readout`: what an analog read-out resolves against the incidence, and calibrations of its errors."""
+"""`cgemit readout`: what an analog read-out resolves against the incidence, and the errors of its clusters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from cgemit.cli import options
 
 if TYPE_CHECKING:
-    from cgemit.detector.readouts import CalibratedReadout
+    from cgemit.detector.readouts import ChargeReadout
     from cgemit.study.readout.scan import BeamScan
 
 
@@ -23,16 +23,16 @@ the angle of the track. --scan selects what varies: the angle of incidence, the 
 (kV/cm), the gain or the threshold (fC). Angles count from the radius, in the plane across the beam line; electrons are
 bent towards positive angles if the field is positive.
 
-With --calibrate FILE: errors of the clusters of a detector, from muons of both charges with |cos(theta)| < 0.93: of
-1 GeV/c, and of 0.2 to 10 GeV/c for clusters of known tracks. A run with --set digitize.readout.calibration=FILE uses
-them. Presets with the default settings of a read-out need none."""
+With --fit FILE: factors of the read-out's chip in the errors of its clusters, found with muons in designs drawn at
+random (pitch 0.3 to 1.2 mm, gap 3 to 8 mm, gain and threshold x 0.5 to 2, 0 to 1.2 T), and the pulls of clusters in
+other designs. The read-outs of the package have theirs."""
 
 EXAMPLES = """\
 examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
   cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
   cgemit readout --readout tiger --scan drift_field --values 1:3:5 -o fields
-  cgemit readout --readout tiger -d my-detector.toml --calibrate my-tiger.json"""
+  cgemit readout --readout tiger --set digitize.readout.noise=0.8 --fit my-tiger.toml"""
 
 _ANGLES = "0 deg:40 deg:9"
 _GRAZING = 80  # deg, beyond which a beam does not cross the layer
@@ -66,10 +66,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--p", type=float, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
     parser.add_argument(
         "-n", "--events", type=options.positive, default=None, metavar="N",
-        help="particles at each angle (default 4000), or muons of a calibration (40000)",
+        help="particles at each angle (default 4000), or in each design (3000)",
     )  # fmt: skip
-    parser.add_argument("--calibrate", metavar="FILE", help="write the errors of a detector's clusters instead")
-    parser.add_argument("-d", "--detector", metavar="NAME|FILE", help="of the calibration")
+    parser.add_argument("--fit", metavar="FILE", help="write the factors of the errors of clusters instead")
     options.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
     options.add_settings(parser)
     options.add_output(parser, "folder for readout.csv, .png and .pdf")
@@ -78,44 +77,33 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Scan the angles, or calibrate."""
-    from cgemit.detector.readouts import CalibratedReadout, names_of
+    """Scan the angles, or fit the errors."""
+    from cgemit.detector.readouts import ChargeReadout, names_of
 
     readout = options.settings_of(arguments).digitize.readout
-    if not isinstance(readout, CalibratedReadout):
-        raise options.InputError(f"--readout: got {readout.name}, expected one of {names_of(CalibratedReadout)}")
-    if arguments.calibrate is not None and arguments.detector is None:
-        raise options.InputError("--calibrate: got no --detector, expected the one whose clusters are calibrated")
-    if arguments.detector is not None and arguments.calibrate is None:
-        raise options.InputError("--detector: got it without --calibrate, expected it with it")
-    if arguments.calibrate is not None:
-        return _calibrate(arguments, readout)
-    return _scan(arguments, readout)
+    if not isinstance(readout, ChargeReadout):
+        raise options.InputError(f"--readout: got {readout.name}, expected one of {names_of(ChargeReadout)}")
+    return _scan(arguments, readout) if arguments.fit is None else _fit(arguments, readout)
 
 
-def _calibrate(arguments: argparse.Namespace, readout: CalibratedReadout) -> int:
+def _fit(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     from cgemit.base.files import new_file
-    from cgemit.detector import load
-    from cgemit.reconstruction.cluster_errors import COS_THETA, read_calibration
-    from cgemit.study.readout.calibrate import calibrate
+    from cgemit.study.readout.errors import as_toml, fit_errors, pulls
 
-    target = Path(arguments.calibrate)
+    target = Path(arguments.fit)
     if target.exists() and not arguments.overwrite:
-        raise options.InputError(f"--calibrate: got {target}, which exists; expected another file, or --overwrite")
-    detector = load(arguments.detector)
-    if not detector.cgem:
-        raise options.InputError(f"--detector: got {detector.name} without CGEM layers, expected one with clusters")
-    found = calibrate(detector, readout, n=arguments.events or 40_000, seed=arguments.seed, threads=arguments.threads)
-    text = found.to_json()
+        raise options.InputError(f"--fit: got {target}, which exists; expected another file, or --overwrite")
+    how = {"n": arguments.events or 3000, "seed": arguments.seed, "threads": arguments.threads}
+    with options.progress_bar(arguments, "readout") as progress:
+        found = fit_errors(readout, **how, progress=progress)
+    text = as_toml(readout.name, found)
     with new_file(target, overwrite=arguments.overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    found = read_calibration(text, target.name)  # which rounds
-    shown = slice(None, None, 4)
-    angles = "".join(f"{cos_theta:8.2f}" for cos_theta in COS_THETA[shown])
-    options.say(f"{found.about}\nerrors over all clusters, um, by layer, view and cos(theta):\n        {angles}")
-    for view, errors in zip("XV", found.typical(readout.estimator), strict=True):
-        for layer, own in zip(detector.cgem, errors, strict=True):
-            options.say(f"  {layer.label:>4} {view}" + "".join(f"{1e3 * error:8.1f}" for error in own[shown]))
+    options.say(text)
+    options.say("pulls of clusters that know their track, in other designs: median, core width, share beyond 3")
+    for one in pulls(readout, errors=found, **how):
+        where = one.quantity if one.quantity == "all" else f"{one.quantity} {one.low:g} to {one.high:g}"
+        options.say(f"  {where:<20} {one.clusters:8d} {one.mean:+7.2f} {one.core:6.2f} {100 * one.beyond:6.1f} %")
     return options.OK
 
 
@@ -156,7 +144,7 @@ def _values(arguments: argparse.Namespace) -> list[float]:
     return _incidence(option, values) if arguments.scan == "angle" else values
 
 
-def _scan(arguments: argparse.Namespace, readout: CalibratedReadout) -> int:
+def _scan(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     from cgemit.base.files import check_free
     from cgemit.study.readout.scan import scan
 

@@ -227,13 +227,6 @@ def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, f
     return _entries(points, detector, _hit_model(detector, digitize.readout, digitize.reveal_sides, fit), fit)
 
 
-def entries_with(points: Points, detector: Detector, sigma_x: Floats, sigma_v: Floats) -> Entries:
-    """Return the same for clusters with given errors, (layers,) mm each, and the default fit."""
-    fit, uncorrelated = FitSettings(), np.zeros((len(sigma_x), 1))
-    hits = _with_errors(detector, (sigma_x[:, None], sigma_v[:, None], uncorrelated), False, fit)
-    return _entries(points, detector, hits, fit)
-
-
 def _entries(points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings) -> Entries:
     sample, tracks = _tracks(points, detector, hits, fit, 1, True)
     out = tracks.run(budget=False)
@@ -280,27 +273,30 @@ class ExpectedHits(NamedTuple):
 
 def _hit_model(detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings) -> ExpectedHits:
     """Return how hits of a read-out are expected."""
-    least = readout.least_electrons
-    return _with_errors(detector, _errors(readout, detector), sides_known, fit, least)
-
-
-def _with_errors(
-    detector: Detector, errors: tuple[Floats, Floats, Floats], sides_known: bool, fit: FitSettings, least: int = 0
-) -> ExpectedHits:
-    """Return the same for clusters with errors as of `_errors`."""
-    sigma_x, sigma_v, corr_xv = errors
-    by_angle = max(one.shape[1] for one in (sigma_x, sigma_v, corr_xv)) > 1
-    cos_theta = COS_THETA if by_angle else np.zeros(1)
-    sigma_x, sigma_v, corr_xv = (
-        np.broadcast_to(one, (len(one), len(cos_theta))) for one in (sigma_x, sigma_v, corr_xv)
-    )
-    model = {
-        "cos_theta": cos_theta.tolist(), "sigma_x": sigma_x.ravel().tolist(), "sigma_v": sigma_v.ravel().tolist(),
-        "corr_xv": corr_xv.ravel().tolist(), "least_width": fit.least_width, "delta_strips": fit.delta_strips,
-        "sides_known": sides_known, "seed": 0, "prior_sigma": fit.prior_sigma,
+    model: HitModel = {
+        "least_width": fit.least_width, "delta_strips": fit.delta_strips, "sides_known": sides_known, "seed": 0,
+        "prior_sigma": fit.prior_sigma,
     }  # fmt: skip
+    model = with_errors_of(model, readout, detector)
+    least = readout.least_electrons
     lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.cgem)
-    return ExpectedHits(model, lost or not (np.all(sigma_x > 0) and np.all(sigma_v > 0)), least)
+    given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
+    return ExpectedHits(model, lost or not given, least)
+
+
+def with_errors_of(model: HitModel, readout: Readout, detector: Detector) -> HitModel:
+    """Return a model with the errors that clusters of a read-out have in a detector.
+
+    Parameters
+    ----------
+    model : dict
+    readout : Readout
+    detector : Detector
+    """
+    errors = _errors(readout, detector)
+    cos_theta = COS_THETA if max(one.shape[1] for one in errors) > 1 else np.zeros(1)
+    x, v, correlation = (np.broadcast_to(one, (len(one), len(cos_theta))).ravel().tolist() for one in errors)
+    return model | {"cos_theta": cos_theta.tolist(), "sigma_x": x, "sigma_v": v, "corr_xv": correlation}
 
 
 def _result(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,13 +15,11 @@ from cgemit import _core
 from cgemit.analysis.quantities import quantity_of
 from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.validate import NO, read
-from cgemit.covariance.analytic import analytic
+from cgemit.covariance.analytic import analytic, with_errors_of
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, load
 from cgemit.detector.parts import CgemLayer, Contents, Labelled
-from cgemit.detector.readouts import CalibratedReadout, Readout
 from cgemit.detector.variants import values_at
-from cgemit.reconstruction.cluster_errors import key_of
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
 from cgemit.units import NATIVE
@@ -60,10 +57,19 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
     """Return the covariances in variants and their compiled detectors."""
     if not variants:
         return []
-    rows = base._tracks.run(budget=False, variants=[core for _, core in variants])["covariance"]
-    samples = rows.reshape(1 + len(variants), *base._samples.shape)[1:]
+    tracks, models = base._tracks, [with_errors_of(base._tracks.model, base.readout, one) for one, _ in variants]
+    same = [number for number, model in enumerate(models) if model == tracks.model]
+    found: dict[int, Floats] = {}
+    if same:
+        cores = [variants[number][1] for number in same]
+        found = dict(zip(same, tracks.run(budget=False, variants=cores)["covariance"][1:], strict=True))
+    for number, (model, (_, core)) in enumerate(zip(models, variants, strict=True)):
+        if number not in found:  # the errors of its clusters differ
+            own = dataclasses.replace(tracks, model=model)
+            found[number] = own.run(budget=False, variants=[core])["covariance"][1]
     return [
-        dataclasses.replace(base, detector=one, _samples=row) for (one, _), row in zip(variants, samples, strict=True)
+        dataclasses.replace(base, detector=one, _samples=found[number].reshape(base._samples.shape))
+        for number, (one, _) in enumerate(variants)
     ]
 
 
@@ -75,26 +81,6 @@ def core_of(base: Covariance, variant: Detector) -> _core.Detector:
 def keeps_order(base: Covariance, core: _core.Detector) -> bool:
     """Return whether a variant has the slabs and wires of the detector of a covariance in the same order."""
     return _core.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
-
-
-def calibrated_apart(readout: Readout, detector: Detector, variants: Iterable[Detector]) -> bool:
-    """Return whether a read-out has calibrated errors, and a calibration of the detector is none of some variant.
-
-    Parameters
-    ----------
-    readout : Readout
-    detector : Detector
-    variants : iterable of Detector
-    """
-    if not isinstance(readout, CalibratedReadout):
-        return False
-    own = key_of(detector, readout)
-    return any(key_of(one, readout) != own for one in variants)
-
-
-def errors_do_not_follow(readout: Readout, keys: Sequence[str]) -> str:
-    """Return the message about a read-out whose calibrated errors do not follow some keys."""
-    return f"read-out {readout.name!r}, which has calibrated errors that do not follow {', '.join(keys)}"
 
 
 def _with_stereo(variant: Detector, base: Detector) -> Detector:
@@ -227,9 +213,7 @@ def sensitivity(
     Raises
     ------
     DetectorError, ValueError
-        As for `analytic`; listing every key that is no number of the detector; if a quantity is not known; if the
-        read-out has calibrated errors that do not follow
-        a key.
+        As for `analytic`; listing every key that is no number of the detector; if a quantity is not known.
 
     Notes
     -----
@@ -259,10 +243,6 @@ def sensitivity(
         _check_number(detector, key, problems)
     problems.report("sensitivity", DetectorError)
     quantities = tuple(quantity_of(name).name for name in names)
-    fixed = [key for key in wanted if calibrated_apart(base.readout, detector, _changed(detector, key))]
-    if fixed:
-        given = errors_do_not_follow(base.readout, fixed)
-        raise ValueError(f"sensitivity: got {given}; expected 'binary' or 'gaussian', or other keys")
     values, unmoved = logarithmic_slopes(base, detector, wanted, quantities)
     return Sensitivity(detector.name, base.particle, base.p, base.cos_theta, wanted, quantities, values, unmoved)
 
@@ -343,11 +323,6 @@ def _variants(detector: Detector, key: str, problems: list[str]) -> Iterator[tup
                 yield detector.with_overrides({key: f"x{1 + side!r}"}), side
             except DetectorError as error:
                 problems.append(str(error.problems[0]))
-
-
-def _changed(detector: Detector, key: str) -> Iterator[Detector]:
-    """Yield one variant, if there is one."""
-    yield from (variant for variant, _ in itertools.islice(_variants(detector, key, []), 1))
 
 
 def design_keys(detector: Contents) -> Iterator[str]:

@@ -126,6 +126,91 @@ def enough_electrons(gas: Material, ionizations: Floats, least: int) -> Floats:
     return np.asarray(1 - sum(fewer)) if least > 0 else np.ones_like(ionizations)
 
 
+class ClusterShares(NamedTuple):
+    """Sums of squares of the shares of ionization clusters in the electrons of a crossing, and the electrons' number.
+
+    The number of clusters is a Poisson number. Of n electrons the expected sum of squares of the clusters' sizes is
+    ``mean sum_i i^2 s(i) P(n - i)/P(n)`` (J. Mecke, Z. Wahrscheinlichkeitstheorie 9 (1967) 36), with the distribution
+    P of the sum as in `enough_electrons`.
+
+    Attributes
+    ----------
+    log_means : (means,) float64
+        Logarithm of the mean number of clusters.
+    squares : (means, most) float64
+        Sum of squares for 0, 1, 2, ... electrons, over the square of their number.
+    electrons : (means, 8) float64
+        Numbers of electrons in the middle of eight equal steps of their distribution.
+    """
+
+    log_means: Floats
+    squares: Floats
+    electrons: Floats
+
+    def shares(self, mean: float, numbers: Floats, variance: float) -> Floats:
+        """Return the expected sum of squares of the clusters' shares of the charge, shape of `numbers`.
+
+        Parameters
+        ----------
+        mean : float
+            Of the number of clusters.
+        numbers : ndarray, float64
+            Of electrons.
+        variance : float
+            Relative, of the charge of an electron.
+        """
+        squares = numbers**2 * np.interp(numbers, np.arange(self.squares.shape[1]), self._at(self.squares, mean))
+        return np.asarray((np.maximum(squares, numbers) + variance * numbers) / (numbers**2 + variance * numbers))
+
+    def quantiles(self, mean: float) -> Floats:
+        """Return the numbers of electrons of eight equal parts of all crossings, (8,) float64."""
+        return self._at(self.electrons, mean)
+
+    def _at(self, table: Floats, mean: float) -> Floats:
+        """Return a row of a table, linear between its means."""
+        step = self.log_means[1] - self.log_means[0]
+        nth = float(np.clip((math.log(mean) - self.log_means[0]) / step, 0, len(self.log_means) - 1.001))
+        low = int(nth)
+        return np.asarray(table[low] + (nth - low) * (table[low + 1] - table[low]))
+
+
+_MOST = 501  # electrons, of `ClusterShares`
+_PARTS = 8
+
+
+@cache
+def cluster_shares(name: str) -> ClusterShares:
+    """Return the sums of squares of the clusters of a gas.
+
+    Parameters
+    ----------
+    name : str
+        Of an ionization table; empty: the default one.
+    """
+    table = ionization(name or DEFAULT_IONIZATION)
+    listed = len(table.sizes) - len(table.tail) + 1
+    single = np.zeros(_MOST)
+    single[1 : listed + 1] = np.diff(table.sizes[:listed], prepend=0.0)
+    for first, last, share in zip(table.tail, table.tail[1:], np.diff(table.sizes[listed - 1 :]), strict=False):
+        inside = np.arange(math.ceil(first), math.ceil(last))  # as 1/n^2 within a range
+        part = share / inside.astype(np.float64) ** 2 / np.sum(1 / inside.astype(np.float64) ** 2)
+        single[inside[inside < _MOST]] = part[: np.count_nonzero(inside < _MOST)]
+    size = np.arange(_MOST, dtype=np.float64)
+    log_means = np.linspace(math.log(0.5), math.log(400.0), 41)
+    squares, electrons = np.zeros((len(log_means), _MOST)), np.zeros((len(log_means), _PARTS))
+    parts = (np.arange(_PARTS) + 0.5) / _PARTS
+    for row, (mean, own) in enumerate(zip(np.exp(log_means), squares, strict=True)):
+        chance = np.zeros(_MOST)
+        chance[0] = math.exp(-mean)
+        for n in range(1, _MOST):
+            chance[n] = mean / n * (size[1 : n + 1] * single[1 : n + 1]) @ chance[n - 1 :: -1][:n]
+        summed = mean * np.convolve(size**2 * single, chance)[:_MOST]
+        own[1:] = np.clip(summed[1:] / np.maximum(chance[1:], 1e-300) / size[1:] ** 2, 1 / size[1:], 1.0)
+        cumulative = np.cumsum(chance[1:])  # crossings without electrons have no cluster
+        electrons[row] = np.interp(parts * (1 - chance[0]), cumulative, size[1:], left=1.0)
+    return ClusterShares(log_means, squares, electrons)
+
+
 @once
 def most_lost(layer: CgemLayer, least: int) -> float:
     """Return the probability that a minimum ionizing particle straight across a gap has too few electrons.

@@ -39,7 +39,8 @@ GAIN = 12_000.0
 SURVIVAL = 0.957 * 0.962
 """An electron enters a hole of the first foil, and its gain is not zero (PARSIFAL, at the nominal voltage)."""
 
-_ELECTRON = parse_quantity("1 e", "charge")  # fC
+ELECTRON = parse_quantity("1 e", "charge")
+"""fC."""
 _FINE = 0.01  # ns, step in which peaks are searched
 
 
@@ -88,7 +89,7 @@ class BinaryReadout(Readout):
     @property
     def least_electrons(self) -> int:
         """Electrons whose charge reaches the threshold."""
-        return math.ceil(min(self.threshold / (self.gain * _ELECTRON), 1e6))  # beyond any gap
+        return math.ceil(min(self.threshold / (self.gain * ELECTRON), 1e6))  # beyond any gap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,8 +148,6 @@ class ProjectionReadout(Readout):
         A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
     estimator : str
         Position of a cluster, always ``"centroid"``.
-    calibration : str
-        File that ``cgemit readout`` has written; empty: the one that comes with the program.
 
     Raises
     ------
@@ -171,7 +170,6 @@ class ProjectionReadout(Readout):
     noise: Noise = 0.5
     valley: Share = 0.4
     estimator: Literal["centroid"] = "centroid"
-    calibration: str = ""
 
 
 @dataclass(frozen=True)
@@ -195,6 +193,12 @@ class Shaper:
         terms = np.array(self.terms)
         terms[:, :2] /= _sum(terms, np.arange(0.0, 500.0, _FINE)).max()
         return terms
+
+    @cached_property
+    def peak(self) -> float:
+        """Time of the largest amplitude, ns after a charge."""
+        times = np.arange(0.0, 500.0, _FINE)
+        return self.delay + float(times[_sum(self.normalised, times).argmax()])
 
     def response(self, t: Floats) -> Floats:
         """Return the amplitude, (n,) float64, at times t, (n,) float64 ns, after a charge of 1."""
@@ -307,8 +311,6 @@ class AnalogReadout(Readout):
         without one have their centroid), or ``"merged"``, the mean of both with the weights of their errors.
     second_pass : bool
         Whether clusters on fitted tracks are made again with the angle of the track, and the tracks are fitted again.
-    calibration : str
-        File that ``cgemit readout`` has written; empty: the one that comes with the program.
     saturation : float
         fC, largest charge that the chip measures.
 
@@ -341,7 +343,6 @@ class AnalogReadout(Readout):
     time_margin: Positive = 50.0
     estimator: Estimator = "merged"
     second_pass: bool = False
-    calibration: str = ""
     saturation: Positive = 48.0
 
 
@@ -391,8 +392,8 @@ class Apv25Readout(AnalogReadout):
     random_neighbours: bool = False
 
 
-#: Those whose clusters have errors from a calibration (`cgemit.reconstruction.cluster_errors`).
-CalibratedReadout = AnalogReadout | ProjectionReadout
+#: Those that measure the charge of strips (`cgemit.reconstruction.cluster_errors`).
+ChargeReadout = AnalogReadout | ProjectionReadout
 
 #: Read-outs of CGEM layers by name.
 READOUTS: dict[str, type[Readout]] = {

@@ -12,7 +12,7 @@ from cgemit.detector.readouts import (
     READOUTS,
     AnalogReadout,
     BinaryReadout,
-    CalibratedReadout,
+    ChargeReadout,
     GaussianReadout,
     ProjectionReadout,
     Readout,
@@ -20,7 +20,7 @@ from cgemit.detector.readouts import (
     part_of,
 )
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
-from cgemit.reconstruction.clusterers.charge import CalibratedClusterer, ChargeTimeClusterer, ProjectionClusterer
+from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
 from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
 from cgemit.tables import Table
@@ -55,21 +55,21 @@ def clusterer_of(readout: Readout | str) -> Clusterer:
     return part_of(readout, CLUSTERERS)(readout)
 
 
-def calibrated_clusterer(readout: CalibratedReadout) -> CalibratedClusterer:
-    """Return the clusterer of a read-out with a calibration.
+def charge_clusterer(readout: ChargeReadout) -> ChargeClusterer:
+    """Return the clusterer of a read-out that measures charge.
 
     Parameters
     ----------
-    readout : CalibratedReadout
+    readout : ChargeReadout
 
     Raises
     ------
     ValueError
-        If the errors of its clusters are not calibrated.
+        If its strips have no charge.
     """
     clusterer = clusterer_of(readout)
-    if not isinstance(clusterer, CalibratedClusterer):
-        raise ValueError(f"readout: got {readout.name!r}, expected one of {names_of(CalibratedReadout)}")
+    if not isinstance(clusterer, ChargeClusterer):
+        raise ValueError(f"readout: got {readout.name!r}, expected one of {names_of(ChargeReadout)}")
     return clusterer
 
 
@@ -128,8 +128,6 @@ def cluster(
 
     Raises
     ------
-    CalibrationError
-        A ValueError: the read-out has no calibration for this detector and field.
     TypeError, ValueError
         If a digi is not in the detector, there is no such read-out, or a clusterer from outside the package makes
         anything but clusters of the same events.

@@ -1,291 +1,390 @@
-"""Errors of clusters of charge and time, calibrated with a reference sample (docs/methods/readout.md)."""
+"""Errors of clusters with charge: what the fluctuations of the charge and a chip do to a position.
+
+The formulas are in ``src/cpp/reconstruction/cluster/charge_errors.cpp`` and in docs/methods/readout.md. Here are their
+inputs, and what they give for the clusters that a track is expected to have.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+import math
+import tomllib
+from dataclasses import asdict, dataclass, fields
+from functools import cache, lru_cache
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import Problem, Problems, ProblemsError
-from cgemit.base.files import read_text
+from cgemit import _core
 from cgemit.detector import Detector
-from cgemit.detector.readouts import AnalogReadout, CalibratedReadout, Estimator
+from cgemit.detector.gas import cluster_shares, clusters_per_mm, drift_columns
+from cgemit.detector.parts import CgemLayer
+from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, Chip
+
+Floats = npt.NDArray[np.float64]
 
 #: cos(theta) of tracks for which errors are expected, where these depend on it; linear between, constant beyond.
 COS_THETA = np.array([-0.9, -0.85, -0.78, -0.69, -0.58, -0.45, -0.3, -0.15, 0.0,
                       0.15, 0.3, 0.45, 0.58, 0.69, 0.78, 0.85, 0.9])  # fmt: skip
 
-
-Floats = npt.NDArray[np.float64]
-
-ESTIMATORS: tuple[Estimator, ...] = ("merged", "centroid", "micro-tpc")
-SIZES = 24
-"""Numbers of strips with errors of their own; larger clusters have the error of this number."""
-CHARGES = 7
-"""Ranges of the charge of clusters with errors of their own."""
-SLOPE_EDGES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1])
-"""Where ranges of the slope of electrons' places of origin at the anode begin, each with errors of its own."""
-SLOPE_SIZES = 8
-"""Numbers of strips with such errors of their own."""
-DISTANCES = 8
-"""Ranges of the distance of centroid and line, each with a factor on the error; the first: there is no line."""
-SLOPE_KNOTS = np.array([0.0, *SLOPE_EDGES, 1.5])
-"""Of the slope at the anode, for `Calibration.direction_depths`."""
-PATH_KNOTS = np.array([1.0, 1.04, 1.1, 1.2, 1.4, 1.7, 2.2])
-"""Of the path of a track per radius, for the same."""
-DIRECTIONS = len(SLOPE_KNOTS) + len(PATH_KNOTS)
-PAIR = 6
-"""Numbers of the likelihood of a pair of X and V."""
-
-#: Changes with everything that makes stored calibrations wrong.
-MODEL = 7
-_MISSING = (
-    "got no calibration for this detector, field and read-out, "
-    "expected digitize.readout.calibration = a file written by: "
-    "cgemit readout --readout NAME -d DETECTOR --calibrate FILE (cgemit.study.readout.calibrate)"
-)
-#: Keys of a layer that calibrations depend on, with those of the gaps' gas.
-_LAYER = (
-    "anode_radius", "readout_offset", "length", "sheets", "pitch_x", "pitch_v", "stereo", "strips_x", "strips_v",
-    "offset_v", "drift_gap", "transfer_gap", "induction_gap", "drift_field", "transfer_field", "induction_field",
-    "foils", "hole_pitch",
-)  # fmt: skip
-_FOLDER = "calibrations"
+SLOPE = 0.05
+"""Spread of tracks' slopes about the direction from the beam line, of clusters that know no track."""
+_PATHS = np.array([1.0, 1.1, 1.25, 1.5, 2.0, 3.0])  # per radius, of the table of shares
+_NUMBERS = np.geomspace(2.0, 500.0, 40)  # of electrons, of the same
+_SPREADS = np.linspace(0.0, 260.0, 14)  # ns, in which the charge of a strip arrives
+_MUON = math.log(9.46)  # ln(beta gamma) of 1 GeV/c, whose ionization is expected
+_HOLES = 5 / 36 / 2  # variance of the way to the nearest hole, in squares of the pitch of a hexagonal lattice
 
 
-class CalibrationError(ProblemsError):
-    """A calibration that is missing or wrong; `problems` lists every problem."""
-
-
-#: Shapes of the arrays of a calibration; -1 stands for the number of layers.
-_SHAPES = {
-    "edges": (2, -1, CHARGES - 1), "depth": (2, -1, CHARGES), "height": (2, -1, CHARGES),
-    "typical_errors": (2, 3, 2, -1, len(COS_THETA)),
-    "errors": (3, 2, -1, CHARGES, SIZES), "pairs": (-1, PAIR),
-    "shares": (2, -1, CHARGES, SIZES), "slope_errors": (3, 2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES),
-    "slope_shares": (2, -1, len(SLOPE_EDGES) + 1, SLOPE_SIZES), "charge_factors": (3, 2, -1, CHARGES, SIZES),
-    "distance_edges": (2, 2, -1, DISTANCES - 2), "distance_factors": (2, 3, 2, -1, DISTANCES),
-    "direction_depths": (2, 3, 2, -1, DIRECTIONS), "direction_factors": (2, 3, 2, -1, DIRECTIONS),
-    "correlations": (2, 3, -1, len(COS_THETA)),
-}  # fmt: skip
-
-
-#: Least and largest value of each: far beyond any layer, so that a wrong unit is seen.
-_LIMITS = {
-    "edges": (0.0, 1e6, "fC"), "depth": (-50.0, 50.0, "mm"), "height": (-50.0, 50.0, "mm"),
-    "typical_errors": (1e-4, 100.0, "mm"), "errors": (1e-4, 100.0, "mm"), "slope_errors": (1e-4, 100.0, "mm"),
-    "charge_factors": (1e-3, 1e4, ""), "distance_edges": (0.0, 1e4, "mm"), "distance_factors": (1e-3, 1e4, ""),
-    "shares": (0.0, 1.0, ""), "slope_shares": (0.0, 1.0, ""), "pairs": (-1e4, 1e4, "(ns)"),
-    "direction_depths": (-50.0, 50.0, "mm"), "direction_factors": (1e-3, 1e4, ""),
-    "correlations": (-0.99, 0.99, ""),
-}  # fmt: skip
-
-
-def _shape(name: str, layers: int) -> tuple[int, ...]:
-    return tuple(layers if n < 0 else n for n in _SHAPES[name])
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """Errors of clusters by estimator, view, layer, charge and number of strips.
+@dataclass(frozen=True)
+class ChipErrors:
+    """Factors of a chip in the errors of its clusters, fitted to simulated clusters (``cgemit readout --fit``).
 
     Attributes
     ----------
-    errors : (3, 2, layers, CHARGES, SIZES) float64, mm
-        In the order of `ESTIMATORS`; views X and V.
-    depth : (2, layers, CHARGES) float64, mm
-        Outward; what to add to the heights in the gap that times give, so that line fits do not depend on the slope.
-    height : (2, layers, CHARGES) float64, mm
-        Outward from mid-gap; mean height of the charge in the gap, at which centroids are corrected for the Lorentz
-        shift.
-    edges : (2, layers, CHARGES - 1) float64, fC
-        Charges of clusters where the next range begins.
-    typical_errors : (2, 3, 2, layers, len(COS_THETA)) float64, mm
-        Over all charges and sizes, by cos(theta) of the track, for clusters without and with its angle: equal errors
-        with which straight lines through the layers are as precise at the beam line.
-    slope_errors : (3, 2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64, mm
-        Errors of positions that use the angle of the track, by estimator, view, layer, range of the slope and number of
-        strips.
-    shares : (2, layers, CHARGES, SIZES) float64
-        Weight of the centroid in the merged position, 0 to 1.
-    slope_shares : (2, layers, len(SLOPE_EDGES) + 1, SLOPE_SIZES) float64
-        The same for positions that use the angle of the track.
-    charge_factors : (3, 2, layers, CHARGES, SIZES) float64
-        On `slope_errors`, by charge and number of strips.
-    distance_edges : (2, 2, layers, DISTANCES - 2) float64, mm
-        Distances of centroid and line where the next range begins, without and with the angle of the track.
-    distance_factors : (2, 3, 2, layers, DISTANCES) float64
-        On all errors, by that distance; clusters without a line are in the first range.
-    direction_depths : (2, 3, 2, layers, DIRECTIONS) float64, mm
-        Height by which positions are wrong along the slope, at `SLOPE_KNOTS` and at `PATH_KNOTS`, to be added up; for
-        the direction of a straight track from the beam line, and with the angle of the track.
-    direction_factors : (2, 3, 2, layers, DIRECTIONS) float64
-        On the errors, by range of the same.
-    correlations : (2, 3, layers, len(COS_THETA)) float64
-        Of the errors of X and V of one crossing, by cos(theta) of the track, for clusters without and with its angle.
-    pairs : (layers, PAIR) float64
-        Mean and width of ln(charge of X / charge of V) and of the difference of their times (ns) for one particle, and
-        the widths of both for two particles.
-    key : str
-        Hash of what the calibration belongs to, see `key_of`.
-    about : str
-        Detector, read-out and sample, for people.
+    ionization : float
+        On the variance of the mean height of the charge, from the numbers and sizes of ionization clusters.
+    cut : float
+        On the variance by charge of strips below the threshold.
+    diffusion : float
+        On the variance by diffusion, holes and gain over the number of electrons.
+    span : float
+        On the variance of heights, from the part of the gap that a strip sees and its number of electrons.
+    time : float
+        On the variance of heights by jitter, and by noise on the leading edge.
+    wide : float
+        Share, in the variance, of what the charge is wider than expected.
+    line : float
+        On the variance of a line fit by its own slope.
+    height : float
+        mm, what to add to all heights.
+    height_per_span : float
+        What to add to heights, over the part of the gap that a strip sees.
+    height_by_threshold : float
+        What to add to this, over the thresholds of all strips in the charge of a cluster.
     """
 
-    errors: Floats
-    depth: Floats
-    height: Floats
-    edges: Floats
-    typical_errors: Floats
-    slope_errors: Floats
-    shares: Floats
-    slope_shares: Floats
-    charge_factors: Floats
-    distance_edges: Floats
-    distance_factors: Floats
-    direction_depths: Floats
-    direction_factors: Floats
-    correlations: Floats
-    pairs: Floats
-    key: str
-    about: str
-
-    def typical(self, estimator: str, second_pass: bool = False) -> tuple[Floats, Floats]:
-        """Return the errors of X and V over all sizes, each (layers, len(COS_THETA)) float64 mm."""
-        x, v = self.typical_errors[int(second_pass), ESTIMATORS.index(estimator)]
-        return x, v
-
-    def correlation(self, estimator: str, second_pass: bool = False) -> Floats:
-        """Return the correlation of the errors of X and V of one crossing, (layers, len(COS_THETA)) float64."""
-        found: Floats = self.correlations[int(second_pass), ESTIMATORS.index(estimator)]
-        return found
-
-    def mean_correlation(self, estimator: str, second_pass: bool = False) -> Floats:
-        """Return the mean of `correlation` over cos(theta), (layers,) float64, for clusters of unknown tracks."""
-        from scipy.integrate import trapezoid  # scipy takes half a second to import
-
-        values = self.correlation(estimator, second_pass)
-        return np.asarray(trapezoid(values, COS_THETA) / (COS_THETA[-1] - COS_THETA[0]))
-
-    def to_json(self) -> str:
-        """Return the text of a calibration file."""
-        data = {
-            "about": self.about, "key": self.key,
-            **{name: np.round(getattr(self, name), 6).tolist() for name in _SHAPES},
-        }  # fmt: skip
-        return json.dumps(data) + "\n"
+    ionization: float
+    cut: float
+    diffusion: float
+    span: float
+    time: float
+    wide: float
+    line: float
+    height: float
+    height_per_span: float
+    height_by_threshold: float
 
 
-def neutral(layers: int) -> Calibration:
-    """Return the calibration with which calibrations are made: equal errors, no correction."""
-    zero = ("depth", "height", "edges", "shares", "slope_shares", "distance_edges", "direction_depths",
-            "correlations")  # fmt: skip
-    values = {name: (np.zeros if name in zero else np.ones)(_shape(name, layers)) for name in _SHAPES}
-    return Calibration(**values, key="", about="none")
-
-
-def key_of(detector: Detector, readout: CalibratedReadout) -> str:
-    """Return the hash of what a calibration depends on: CGEM layers, field, settings and chip of the read-out.
+@cache
+def chip_errors(name: str) -> ChipErrors:
+    """Return the factors of a read-out of the package.
 
     Parameters
     ----------
-    detector : Detector
-    readout : CalibratedReadout
-        Its `calibration`, `estimator` and `second_pass` do not count; nor does `time_margin`, since hardly any strip of
-        the particles of a calibration is out of time.
+    name : str
 
-    Returns
-    -------
-    str
-        16 hexadecimal digits.
+    Raises
+    ------
+    ValueError
+        If the package has none of this name.
     """
-    settings = readout.to_dict()
-    for name in ("calibration", "estimator", "second_pass", "time_margin"):
-        settings.pop(name, None)
-    chip = asdict(readout.chip) if isinstance(readout, AnalogReadout) else None
-    layers = [[getattr(layer, name) for name in _LAYER] + [layer.gas.ionization] for layer in detector.cgem]
-    text = json.dumps([MODEL, readout.name, settings, chip, layers, detector.field.bz], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    text = (resources.files("cgemit.reconstruction") / "cluster_errors.toml").read_text(encoding="utf-8")
+    found = tomllib.loads(text)
+    if name not in found:
+        raise ValueError(f"errors of clusters: got read-out {name!r}, expected one of {', '.join(found)}")
+    return ChipErrors(**{one.name: float(found[name][one.name]) for one in fields(ChipErrors)})
+
+
+def errors_of(readout: ChargeReadout) -> ChipErrors:
+    """Return the factors of a read-out: its own, or those of the read-out of the package that it extends."""
+    own: ChipErrors | None = getattr(type(readout), "errors", None)
+    if own is not None:
+        return own
+    names = [vars(one)["name"] for one in type(readout).__mro__ if "name" in vars(one)]
+    return chip_errors(next((name for name in names if _has(name)), names[0]))
+
+
+def _has(name: str) -> bool:
+    try:
+        chip_errors(name)
+    except ValueError:
+        return False
+    return True
+
+
+class ErrorInputs(NamedTuple):
+    """What the core's formulas take of a detector and a read-out, by the names of its arguments."""
+
+    delays: dict[str, Floats]
+    chip: dict[str, float]
+    planes: dict[str, Floats]
+    shares: dict[str, Floats]
 
 
 @lru_cache(maxsize=64)
-def calibration_of(detector: Detector, readout: CalibratedReadout) -> Calibration:
-    """Return the calibration of a read-out: its file, or the one that comes with the program.
+def error_inputs(detector: Detector, readout: ChargeReadout) -> ErrorInputs:
+    """Return the inputs of the error formulas.
 
     Parameters
     ----------
     detector : Detector
-    readout : CalibratedReadout
+    readout : ChargeReadout
 
     Raises
     ------
-    CalibrationError
-        If there is none, or the file belongs to another detector, field or read-out.
+    ValueError
+        If a layer's gas or field has no table of electron transport.
     """
-    if not detector.cgem:
-        return neutral(0)
-    key = key_of(detector, readout)
-    if readout.calibration:
-        try:
-            text = read_text(readout.calibration)
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise CalibrationError(
-                "digitize.readout.calibration",
-                [Problem("", f"{readout.calibration[:80]!r} ({reason})", "a file that `cgemit readout` has written")],
-            ) from error
-        found = read_calibration(text, readout.calibration)
-    else:
-        file = resources.files("cgemit.reconstruction") / _FOLDER / f"{readout.name}-{key}.json"
-        if not file.is_file():
-            raise CalibrationError(f"read-out {readout.name} of {detector.name}", [Problem("", _MISSING, "")])
-        found = read_calibration(file.read_text(encoding="utf-8"), file.name)
-    problems = Problems()
-    if found.key != key:
-        expected = f"one of the layers and field of {detector.name} and of these settings of {readout.name}"
-        hint = f"cgemit readout --readout {readout.name} -d DETECTOR --calibrate FILE"
-        problems.note("", f"a calibration of {found.about}", expected, hint)
-    if found.depth.shape[1] != len(detector.cgem):
-        problems.note("", f"{found.depth.shape[1]} layers", str(len(detector.cgem)))
-    problems.report(readout.calibration or key, CalibrationError)
-    return found
+    return ErrorInputs(
+        _delays(detector, readout), _chip(readout), _planes(detector, readout), _shares(detector, readout)
+    )
 
 
-def read_calibration(text: str, source: str) -> Calibration:
-    """Return the calibration of a file.
+def _gain_variance(readout: ChargeReadout) -> float:
+    """Return the relative variance of the charge of an electron of ionization, which may be lost."""
+    if not isinstance(readout, AnalogReadout):
+        return 0.0
+    gain = 1 / (1 + readout.polya) if readout.gain_fluctuation else 0.0
+    return (1 + gain) / readout.survival - 1
+
+
+def _chip(readout: ChargeReadout) -> dict[str, float]:
+    found = asdict(errors_of(readout)) | {
+        "noise": readout.noise, "jitter": 0.0, "rise": 0.0, "gain_variance": _gain_variance(readout), "slope": SLOPE,
+        "share_spread": 0.0,
+    }  # fmt: skip
+    survival = 1.0
+    if isinstance(readout, AnalogReadout):
+        survival = readout.survival
+        found |= {
+            "jitter": readout.jitter, "rise": readout.chip.timing.peak, "share_spread": readout.share_spread,
+        }  # fmt: skip
+    return found | {"electrons_per_fC": 2 / (readout.gain * survival * ELECTRON)}  # a view has half of the charge
+
+
+def _thresholds(readout: ChargeReadout) -> tuple[float, float]:
+    return (
+        (readout.threshold_x, readout.threshold_v) if isinstance(readout, AnalogReadout) else (readout.threshold,) * 2
+    )
+
+
+def _planes(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+    """Return pitch, gap, velocity, variances of diffusion and cloud, and threshold of X, then of V of all layers."""
+    rows = []
+    for view, threshold in enumerate(_thresholds(readout)):
+        for number, layer in enumerate(detector.cgem):
+            pitch = layer.pitch_x if view == 0 else layer.pitch_v
+            if isinstance(readout, AnalogReadout):
+                drift = {name: float(one[number]) for name, one in drift_columns(detector).items()}
+                widths = drift["velocity"], *_widths(layer, readout, drift, view)
+            else:
+                widths = 1.0, 0.0, readout.sigma**2
+            rows.append((pitch, layer.drift_gap, *widths, threshold))
+    names = ("pitch", "gap", "velocity", "diffusion", "cloud", "threshold")
+    return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
+
+
+def _widths(layer: CgemLayer, readout: AnalogReadout, drift: dict[str, float], view: int) -> tuple[float, float]:
+    """Return the variances of an electron's place and of its avalanche across the strips of a view, mm2."""
+    scale, half = layer.r_readout / layer.r_mid, layer.drift_gap / 2
+    holes = _HOLES * layer.hole_pitch**2 if readout.holes else 0.0
+    few = readout.diffusion**2 / readout.first_gain
+    factor = readout.diffusion**2
+    place_x = (
+        factor * (scale * drift["sigma_x"]) ** 2 * half + holes + few * (layer.r_readout * drift["first_phi"]) ** 2
+    )
+    place_z = factor * drift["sigma_par"] ** 2 * half + holes + few * drift["first_z"] ** 2
+    cloud_x, cloud_z = factor * (layer.r_readout * drift["cloud_phi"]) ** 2, factor * drift["cloud_z"] ** 2
+    if view == 0:
+        return place_x, cloud_x
+    across, along = math.cos(layer.stereo) ** 2, math.sin(layer.stereo) ** 2
+    return across * place_x + along * place_z, across * cloud_x + along * cloud_z
+
+
+def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+    variance = _gain_variance(readout)
+    values, apart, times = [], [], []
+    drift = drift_columns(detector) if isinstance(readout, AnalogReadout) else None
+    for number, layer in enumerate(detector.cgem):
+        mean = float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * layer.drift_gap
+        table = cluster_shares(layer.gas.ionization)
+        values.append([table.shares(mean * path, _NUMBERS, variance) for path in _PATHS])
+        numbers = table.quantiles(mean)
+        apart.append(math.sqrt(2) * float(np.std(np.log(numbers))))
+        velocity = 1.0 if drift is None else float(drift["velocity"][number])
+        height = layer.drift_gap**2 / 12 * float(np.mean(table.shares(mean, numbers, variance)))
+        times.append(math.sqrt(2 * height) / velocity)
+    return {
+        "paths": _PATHS,
+        "numbers": _NUMBERS,
+        "values": np.array(values, np.float64).ravel(),
+        "charges_apart": np.array(apart, np.float64),
+        "times_apart": np.array(times, np.float64),
+    }
+
+
+def _delays(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+    """Return the delays of the chip, see ``DelayTable`` of the core."""
+    layers = len(detector.cgem)
+    if not isinstance(readout, AnalogReadout):
+        return {"spreads": np.zeros(1), "charges": np.tile([0.0, 1.0], 2 * layers), "delays": np.zeros(4 * layers)}
+    induction = drift_columns(detector)["induction"]
+    thresholds = (readout.threshold_x, readout.threshold_v)
+    rows = [delays_of(readout.chip, float(duration), one) for duration in induction for one in thresholds]
+    charges, delays = ([row[i].ravel() for row in rows] for i in (0, 1))
+    empty = np.zeros(0)
+    return {
+        "spreads": _SPREADS,
+        "charges": np.concatenate(charges or [empty]),
+        "delays": np.concatenate(delays or [empty]),
+    }
+
+
+_POINTS = 64  # of charge, in the table of a leading edge
+_LARGEST = 200.0  # fC, of the table
+_STEP = 0.5  # ns, in which pulses are followed
+
+
+@lru_cache(maxsize=256)
+def delays_of(chip: Chip, duration: float, threshold: float) -> tuple[Floats, Floats]:
+    """Return when a chip measures charge that arrives evenly within a time, after its mean arrival.
 
     Parameters
     ----------
-    text, source : str
-        Its content and its name, for messages.
+    chip : Chip
+    duration : float
+        ns, of the current of an electron.
+    threshold : float
+        fC.
 
-    Raises
-    ------
-    CalibrationError
-        Listing every problem of the file.
+    Returns
+    -------
+    charges : ndarray, (64,) float64, fC, growing
+        As the chip measures them.
+    delays : ndarray, (14, 64) float64, ns
+        For charge that arrives within 0 to 260 ns in equal steps.
     """
-    try:
-        data = json.loads(text)
-        values = {name: np.array(data[name], np.float64) for name in _SHAPES}
-        key, about = str(data["key"]), str(data["about"])
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise CalibrationError(source, [Problem("", f"{error!r:.200}", "a calibration file")]) from error
-    problems = Problems()
-    layers = values["depth"].shape[1] if values["depth"].ndim == 3 else 0
-    for name, array in values.items():
-        if array.shape != _shape(name, layers):
-            hint = "made by another version? Make it again: cgemit readout --readout NAME -d DETECTOR --calibrate FILE"
-            problems.note(name, f"shape {array.shape}", str(_shape(name, layers)), hint)
-        low, high, unit = _LIMITS[name]
-        wrong = array[~((array >= low) & (array <= high))]
-        if wrong.size:
-            problems.note(name, f"{wrong[0]:g}", f"numbers from {low:g} to {high:g} {unit}".rstrip())
-        elif name.endswith("edges") and array.ndim and (np.diff(array) < 0).any():
-            problems.note(name, f"{'distances' if name != 'edges' else 'charges'} that fall", "rising ones")
-    problems.report(source, CalibrationError)
-    return Calibration(**values, key=key, about=about)
+    times = np.arange(0.0, 700.0, _STEP)
+    charges = np.geomspace(1.02 * threshold, max(_LARGEST, 100 * threshold), _POINTS)
+    delays = np.empty((len(_SPREADS), _POINTS))
+    for row, spread in zip(delays, _SPREADS, strict=True):
+        evenly = np.full(max(1, round(spread / _STEP)), 1.0)
+        edge, sampled = (
+            np.convolve(shaper.pulse(times, duration), evenly / len(evenly))[: len(times)]
+            for shaper in (chip.timing, chip.charge)
+        )
+        if chip.kind == "tiger":
+            rise = slice(0, int(edge.argmax()) + 1)
+            true = np.geomspace(1.01 * threshold / edge.max(), 2 * charges[-1], 4 * _POINTS)
+            crossed = np.interp(threshold / true, edge[rise], times[rise])
+            measured = true * np.interp(crossed + chip.sample_delay, times, sampled)
+            order = np.argsort(measured)
+            row[:] = np.interp(charges, measured[order], crossed[order]) - spread / 2
+        else:
+            row[:] = _half_height(chip, times, edge) - spread / 2
+    return charges, delays
+
+
+def _half_height(chip: Chip, times: Floats, edge: Floats) -> float:
+    """Return the mean time at which samples of a pulse reach half of the largest one, ns after its begin."""
+    sampled = chip.clock * np.arange(chip.samples, dtype=np.float64)
+    found = []
+    for phase in np.arange(0.5, chip.clock, 2.0):  # ns, of the begin after a sample
+        begin = 4 * chip.clock + float(phase)
+        samples = np.interp(sampled - begin, times, edge, left=0.0)
+        top = int(samples.argmax())
+        first = int(np.flatnonzero(samples[: top + 1] <= 0.5 * samples[top])[-1])
+        rise = samples[first + 1] - samples[first]
+        found.append(sampled[first] + chip.clock * (0.5 * samples[top] - samples[first]) / rise - begin)
+    return float(np.mean(found))
+
+
+class Expected(NamedTuple):
+    """Errors of clusters of tracks from the origin, each (layers, 17) float64, at `COS_THETA`."""
+
+    sigma_x: Floats  # mm
+    sigma_v: Floats  # mm
+    correlation: Floats
+
+
+@lru_cache(maxsize=256)
+def expected_errors(detector: Detector, readout: ChargeReadout, estimator: str, of_track: bool) -> Expected:
+    """Return the errors that a read-out is expected to have, without events.
+
+    The formulas are those of a cluster that is seen, for the mean width, and the geometric mean over numbers of
+    electrons in equal steps of their distribution.
+
+    Parameters
+    ----------
+    detector : Detector
+    readout : ChargeReadout
+    estimator : str
+    of_track : bool
+        Whether clusters know the slopes of their tracks.
+    """
+    if not detector.cgem:
+        none = np.zeros((0, len(COS_THETA)))
+        return Expected(none, none, none)
+    inputs = error_inputs(detector, readout)
+    layers = detector.cgem
+    tilt = COS_THETA / np.sqrt(1 - COS_THETA**2)  # z over radius
+    path = np.hypot(1.0, tilt)
+    lorentz = drift_columns(detector)["tan_lorentz"] if isinstance(readout, AnalogReadout) else np.zeros(len(layers))
+    if isinstance(readout, AnalogReadout) and not readout.lorentz:
+        lorentz = np.zeros(len(layers))
+    slopes = np.array(
+        [
+            [
+                -tan * one.r_readout / one.r_mid + 0 * tilt,
+                -math.sin(one.stereo) * tilt - tan * math.cos(one.stereo) * one.r_readout / one.r_mid,
+            ]
+            for tan, one in zip(lorentz, layers, strict=True)
+        ]
+    )  # (layers, 2, angles)
+    numbers = np.array(
+        [
+            [
+                cluster_shares(one.gas.ionization).quantiles(
+                    float(clusters_per_mm(one.gas, np.array([_MUON]))[0]) * one.drift_gap * length
+                )
+                for length in path
+            ]
+            for one in layers
+        ]
+    )  # (layers, angles, numbers)
+    variances = np.empty((2, *numbers.shape))
+    plane = {name: values.reshape(2, len(layers)) for name, values in inputs.planes.items()}
+    for view, number in np.ndindex(2, len(layers)):
+        slope = np.broadcast_to(slopes[number, view][:, None], numbers[number].shape)
+        variances[view, number] = _core.charge_variances(
+            chip=inputs.chip, planes=inputs.planes, shares=inputs.shares,
+            estimator=estimator, of_track=of_track, view=view, layer=number, slope=slope.ravel(),
+            path=np.repeat(path, numbers.shape[2]), number=numbers[number].ravel(),
+        ).reshape(numbers[number].shape)  # fmt: skip
+    sigma = np.exp(0.5 * np.log(variances).mean(axis=-1))
+    # X and V of a crossing come from the same electrons.
+    chip = inputs.chip
+    single = chip["diffusion"] * (1 + chip["gain_variance"]) / numbers
+    cos_stereo = np.array([math.cos(one.stereo) for one in layers])[:, None, None]
+    shared = single * plane["diffusion"][0][:, None, None] * cos_stereo
+    if estimator == "centroid" and not of_track:
+        heights = (plane["gap"][0] ** 2 / 12)[:, None, None] * chip["ionization"]
+        shares = np.array([_of_table(inputs.shares, number, path, numbers[number]) for number in range(len(layers))])
+        shared = shared + (slopes[:, 0] * slopes[:, 1])[:, :, None] * heights * shares
+    correlation = (shared / np.sqrt(variances[0] * variances[1])).mean(axis=-1)
+    return Expected(sigma[0], sigma[1], np.clip(correlation, -0.95, 0.95))
+
+
+def _of_table(shares: dict[str, Floats], layer: int, path: Floats, numbers: Floats) -> Floats:
+    """Return the mean of the sum of squares of shares, (angles, numbers)."""
+    table = shares["values"].reshape(-1, len(_PATHS), len(_NUMBERS))[layer]
+    by_number = np.array([[np.interp(number, _NUMBERS, row) for number in numbers.ravel()] for row in table])
+    by_number = by_number.reshape(len(_PATHS), *numbers.shape)
+    return np.array(
+        [
+            [np.interp(length, _PATHS, by_number[:, i, k]) for k in range(numbers.shape[1])]
+            for i, length in enumerate(path)
+        ]
+    )

@@ -74,76 +74,88 @@ std::vector<LayerTiming> layer_timing(const py::dict& table, const Detector& det
   return found;
 }
 
-// An input of shape (rows, width).
-std::span<const double> rows_of(const Array<double>& array, const char* name, std::size_t rows,
-                                py::ssize_t width) {
-  if (width < 1) throw std::invalid_argument(std::string(name) + ": expected rows with entries");
-  return matrix(array, name, static_cast<py::ssize_t>(rows), width);
+// One view of each layer after the other.
+std::vector<PlaneErrors> plane_errors(const py::dict& table, std::size_t planes) {
+  Inputs in(table, "pitch");
+  const auto pitch = in.get<double>("pitch"), gap = in.get<double>("gap"),
+             velocity = in.get<double>("velocity"), diffusion = in.get<double>("diffusion"),
+             cloud = in.get<double>("cloud"), threshold = in.get<double>("threshold");
+  if (pitch.size() != planes) throw std::invalid_argument("planes: expected one row for each view and layer");
+  std::vector<PlaneErrors> found;
+  for (std::size_t i = 0; i < planes; ++i) {
+    found.push_back({pitch[i], gap[i], velocity[i], diffusion[i], cloud[i], threshold[i],
+                     strip_wave(pitch[i], cloud[i])});
+  }
+  return found;
+}
+
+ChipErrors chip_errors(const py::dict& numbers) {
+  const auto of = [&](const char* name) { return numbers[name].cast<double>(); };
+  return {.ionization = of("ionization"),
+          .cut = of("cut"),
+          .diffusion = of("diffusion"),
+          .span = of("span"),
+          .time = of("time"),
+          .wide = of("wide"),
+          .line = of("line"),
+          .height = of("height"),
+          .height_per_span = of("height_per_span"),
+          .height_by_threshold = of("height_by_threshold"),
+          .noise = of("noise"),
+          .jitter = of("jitter"),
+          .rise = of("rise"),
+          .gain_variance = of("gain_variance"),
+          .electrons_per_fC = of("electrons_per_fC"),
+          .slope = of("slope"),
+          .share_spread = of("share_spread")};
+}
+
+Estimator estimator_of(const std::string& name) {
+  if (name == "merged") return Estimator::merged;
+  if (name == "centroid") return Estimator::centroid;
+  if (name == "micro-tpc") return Estimator::micro_tpc;
+  throw std::invalid_argument("estimator: got " + name + ", expected merged, centroid or micro-tpc");
 }
 
 py::dict with_times(const Detector& detector, const py::dict& table, const py::dict& timing,
-                    const Array<double>& delay_charge, const Array<double>& delay,
-                    const Array<double>& errors, const Array<double>& shares, const Array<double>& depth,
-                    const Array<double>& height, const Array<double>& edges, const std::string& estimator,
-                    std::int32_t missing, double edge, const Array<std::int32_t>& masked, std::int32_t bridge,
-                    const Array<double>& gain, double valley, double margin, const Array<double>& pairs,
-                    const Array<double>& slope_errors, const Array<double>& slope_shares,
-                    const Array<double>& slope_edges, const Array<double>& charge_factors,
-                    const Array<double>& distance_edges, const Array<double>& distance_factors,
-                    const Array<double>& direction_slopes, const Array<double>& direction_paths,
-                    const Array<double>& direction_depths, const Array<double>& direction_factors,
-                    const Array<double>& slopes, const Array<double>& paths) {
+                    const py::dict& delays, const py::dict& chip, const py::dict& planes,
+                    const py::dict& shares, const std::string& estimator, std::int32_t missing, double edge,
+                    const Array<std::int32_t>& masked, std::int32_t bridge, const Array<double>& gain,
+                    double valley, double margin, bool timed, const Array<double>& slopes,
+                    const Array<double>& paths) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const std::vector<LayerTiming> layers = layer_timing(timing, detector);
   const std::size_t n = detector.cgem.size();
-  const py::ssize_t points = delay.ndim() == 2 ? delay.shape(1) : 0,
-                    sizes = errors.ndim() == 2 ? errors.shape(1) : 0;
-  const py::ssize_t charges = depth.ndim() == 2 ? depth.shape(1) : 0;
-  const auto rows = static_cast<std::size_t>(std::max<py::ssize_t>(charges, 0));
-  if (estimator != "merged" && estimator != "centroid" && estimator != "micro-tpc") {
-    throw std::invalid_argument("estimator: got " + estimator + ", expected merged, centroid or micro-tpc");
-  }
-  const auto slope_rows = static_cast<py::ssize_t>(2 * n) * (slope_edges.size() + 1);
-  const py::ssize_t slope_sizes =
-      std::max<py::ssize_t>(1, slope_shares.size() / std::max<py::ssize_t>(slope_rows, 1));
-  const py::ssize_t distances = distance_factors.ndim() == 2 ? distance_factors.shape(1) : 0;
-  if (distances < 2) throw std::invalid_argument("distance_factors: expected rows with entries");
-  if (direction_slopes.size() < 1 || direction_paths.size() < 1) {
-    throw std::invalid_argument("direction_slopes, direction_paths: expected at least one");
-  }
-  const auto direction_entries =
-      static_cast<py::ssize_t>(12 * n) * (direction_slopes.size() + direction_paths.size());
+  const auto rows = static_cast<py::ssize_t>(n);
+  const std::vector<PlaneErrors> by_plane = plane_errors(planes, 2 * n);
+  const auto array = [](const py::dict& from, const char* name) { return from[name].cast<Array<double>>(); };
+  const Array<double> spreads = array(delays, "spreads"), charges = array(delays, "charges"),
+                      delay = array(delays, "delays"), share_paths = array(shares, "paths"),
+                      numbers = array(shares, "numbers"), values = array(shares, "values"),
+                      charges_apart = array(shares, "charges_apart"),
+                      times_apart = array(shares, "times_apart");
+  const py::ssize_t points = n == 0 ? 2 : charges.size() / (2 * rows);
+  if (points < 2) throw std::invalid_argument("delays: expected at least two charges");
   const ChargeTimeModel model{
       .layers = layers,
-      .delays = {rows_of(delay_charge, "delay_charge", 2 * n, points), rows_of(delay, "delay", 2 * n, points),
+      .delays = {column(spreads, "spreads"), column(charges, "charges", 2 * rows * points),
+                 column(delay, "delays", 2 * rows * spreads.size() * points),
                  static_cast<std::size_t>(points)},
-      .calibration = {rows_of(errors, "errors", 6 * n * rows, sizes),
-                      rows_of(shares, "shares", 2 * n * rows, sizes), rows_of(depth, "depth", 2 * n, charges),
-                      rows_of(height, "height", 2 * n, charges),
-                      matrix(edges, "edges", static_cast<py::ssize_t>(2 * n), charges - 1), n, rows,
-                      static_cast<std::size_t>(sizes)},
-      .estimator = estimator == "merged"     ? Estimator::merged
-                   : estimator == "centroid" ? Estimator::centroid
-                                             : Estimator::micro_tpc,
+      .errors = {chip_errors(chip),
+                 by_plane,
+                 {column(share_paths, "paths"), column(numbers, "numbers"),
+                  column(values, "values", rows * share_paths.size() * numbers.size())},
+                 column(charges_apart, "charges_apart", rows),
+                 column(times_apart, "times_apart", rows)},
+      .estimator = estimator_of(estimator),
       .missing = missing,
       .mask = StripMask(detector, column(masked, "masked"), bridge),
       .gain = column(gain, "gain", gain.size() == 0 ? 0 : strips_of(detector)),
       .edge = edge,
       .valley = valley,
       .margin = margin,
-      .pairs = {column(pairs, "pairs",
-                       pairs.size() == 0 ? 0 : static_cast<py::ssize_t>(n * PairTable::entries))},
-      .slope_errors = {column(slope_errors, "slope_errors", 3 * slope_shares.size()),
-                       column(slope_shares, "slope_shares", slope_rows * slope_sizes),
-                       column(slope_edges, "slope_edges"), n, static_cast<std::size_t>(slope_sizes)},
-      .factors = {column(charge_factors, "charge_factors", errors.size()),
-                  matrix(distance_edges, "distance_edges", static_cast<py::ssize_t>(4 * n), distances - 2),
-                  matrix(distance_factors, "distance_factors", static_cast<py::ssize_t>(12 * n), distances),
-                  2 * n, static_cast<std::size_t>(distances)},
-      .directions = {column(direction_slopes, "direction_slopes"), column(direction_paths, "direction_paths"),
-                     column(direction_depths, "direction_depths", direction_entries),
-                     column(direction_factors, "direction_factors", direction_entries), 2 * n},
+      .timed = timed,
       .slopes = column(slopes, "slopes", slopes.size()),
       .paths = column(paths, "paths", slopes.size())};
   ClusterColumns found;
@@ -152,6 +164,35 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
     found = find_charge_time_clusters(detector, digis, model);
   }
   return to_dict(std::move(found));
+}
+
+// Variances, mm^2, of the clusters of one view and layer that are expected to have numbers of electrons.
+py::array_t<double> expected_variances(const py::dict& chip, const py::dict& planes, const py::dict& shares,
+                                       const std::string& estimator, bool of_track, int view,
+                                       std::size_t layer, const Array<double>& slope,
+                                       const Array<double>& path, const Array<double>& number) {
+  const auto array = [](const py::dict& from, const char* name) { return from[name].cast<Array<double>>(); };
+  const Array<double> share_paths = array(shares, "paths"), numbers = array(shares, "numbers"),
+                      values = array(shares, "values");
+  const auto rows = array(planes, "pitch").size();
+  const std::vector<PlaneErrors> by_plane = plane_errors(planes, static_cast<std::size_t>(rows));
+  const ChargeErrors errors{chip_errors(chip),
+                            by_plane,
+                            {column(share_paths, "paths"), column(numbers, "numbers"),
+                             column(values, "values", rows / 2 * share_paths.size() * numbers.size())},
+                            {},
+                            {}};
+  if ((view != 0 && view != 1) || layer >= static_cast<std::size_t>(rows / 2)) {
+    throw std::invalid_argument("view, layer: expected one of the detector");
+  }
+  const auto slopes = column(slope, "slope"), paths = column(path, "path", slope.size()),
+             electrons = column(number, "number", slope.size());
+  std::vector<double> found(slopes.size());
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    found[i] =
+        errors.expected(estimator_of(estimator), of_track, view, layer, {slopes[i], paths[i]}, electrons[i]);
+  }
+  return to_numpy(std::move(found));
 }
 
 py::array_t<double> errors_of_sizes(const Array<double>& extents, double pitch, std::size_t sizes) {
@@ -169,16 +210,17 @@ void bind_cluster(py::module_& module) {
              py::arg("err_x"), py::arg("err_v"),
              "Columns of clusters from columns of digis: read-out without strips.");
   module.def("find_charge_time_clusters", &with_times, py::arg("detector"), py::arg("digis"), py::kw_only(),
-             py::arg("timing"), py::arg("delay_charge"), py::arg("delay"), py::arg("errors"),
-             py::arg("shares"), py::arg("depth"), py::arg("height"), py::arg("edges"), py::arg("estimator"),
-             py::arg("missing"), py::arg("edge"), py::arg_v("masked", Array<std::int32_t>(0), "..."),
-             py::arg("bridge") = 0, py::arg_v("gain", Array<double>(0), "..."), py::arg("valley") = 0.0,
-             py::arg("margin"), py::arg_v("pairs", Array<double>(0), "..."), py::arg("slope_errors"),
-             py::arg("slope_shares"), py::arg("slope_edges"), py::arg("charge_factors"),
-             py::arg("distance_edges"), py::arg("distance_factors"), py::arg("direction_slopes"),
-             py::arg("direction_paths"), py::arg("direction_depths"), py::arg("direction_factors"),
-             py::arg_v("slopes", Array<double>(0), "..."), py::arg_v("paths", Array<double>(0), "..."),
+             py::arg("timing"), py::arg("delays"), py::arg("chip"), py::arg("planes"), py::arg("shares"),
+             py::arg("estimator"), py::arg("missing"), py::arg("edge"),
+             py::arg_v("masked", Array<std::int32_t>(0), "..."), py::arg("bridge") = 0,
+             py::arg_v("gain", Array<double>(0), "..."), py::arg("valley") = 0.0, py::arg("margin"),
+             py::arg("timed") = true, py::arg_v("slopes", Array<double>(0), "..."),
+             py::arg_v("paths", Array<double>(0), "..."),
              "Columns of clusters from columns of digis: charge centroid and line fit.");
+  module.def("charge_variances", &expected_variances, py::kw_only(), py::arg("chip"), py::arg("planes"),
+             py::arg("shares"), py::arg("estimator"), py::arg("of_track"), py::arg("view"), py::arg("layer"),
+             py::arg("slope"), py::arg("path"), py::arg("number"),
+             "Variances (mm^2) expected of clusters of numbers of electrons.");
   module.def(
       "size_errors", &errors_of_sizes, py::arg("extents"), py::arg("pitch"), py::arg("sizes"),
       "RMS of the position error (mm) of clusters of 1 to `sizes` strips for a sample of extents (mm).");

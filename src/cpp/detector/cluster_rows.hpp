@@ -36,7 +36,6 @@ struct ClusterRow {
   ClusterMethod method = ClusterMethod::strips;
   double score = not_measured;  // of a pair: logarithm of a likelihood ratio
   double shift = 0;             // mm, of X or V by the direction of the track; not a column
-  int estimator = 0;            // which of a read-out's estimators the position is of; not a column
 };
 
 // Sets the azimuth of a row from its x and err_x. The azimuth is also valid at mid-gap: charge is projected

@@ -1,4 +1,4 @@
-"""Clusters of strips with charge, or with charge and time, and calibrated errors (docs/methods/readout.md)."""
+"""Clusters of strips with charge, or with charge and time (docs/methods/readout.md)."""
 
 from __future__ import annotations
 
@@ -12,26 +12,16 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.core import strip_gains, strip_lists
 from cgemit.detector.gas import drift_columns
-from cgemit.detector.readouts import AnalogReadout, CalibratedReadout, Chip, Estimator, ProjectionReadout
-from cgemit.reconstruction.cluster_errors import (
-    CHARGES,
-    DISTANCES,
-    PATH_KNOTS,
-    SIZES,
-    SLOPE_EDGES,
-    SLOPE_KNOTS,
-    Calibration,
-    calibration_of,
-    neutral,
-)
+from cgemit.detector.readouts import AnalogReadout, ChargeReadout, Estimator, ProjectionReadout
+from cgemit.reconstruction.cluster_errors import COS_THETA, ErrorInputs, error_inputs, expected_errors
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
 from cgemit.tables import Table
 
 _SPEED_OF_LIGHT = 299.792458  # mm/ns
 
 
-class CalibratedClusterer(Clusterer):
-    """Makes clusters whose positions and errors come from a calibration.
+class ChargeClusterer(Clusterer):
+    """Makes clusters whose positions and errors come from the charge of their strips.
 
     Attributes
     ----------
@@ -41,7 +31,7 @@ class CalibratedClusterer(Clusterer):
 
     estimators: ClassVar[tuple[Estimator, ...]]
 
-    readout: CalibratedReadout
+    readout: ChargeReadout
 
     @property
     def lorentz(self) -> bool:
@@ -59,20 +49,13 @@ class CalibratedClusterer(Clusterer):
         Returns
         -------
         dict
-            ``timing``: velocity (mm/ns), tan_lorentz, shift (rad) and delay (ns), each (layers,) float64.
-            ``delay_charge`` and ``delay``: measured charge (fC, growing) and delay of the chip (ns), each (2 layers, n)
-            float64, by layer and view. ``missing``, ``edge``, ``margin`` (ns): see `AnalogReadout`.
+            ``timing``: velocity (mm/ns), tan_lorentz, shift (rad) and delay (ns), each (layers,) float64. ``missing``,
+            ``edge``, ``margin`` (ns): see `AnalogReadout`. ``timed``: whether strips have times.
         """
 
     def check(self, detector: Detector) -> None:
-        """Raise an error if there is no calibration for a detector.
-
-        Raises
-        ------
-        CalibrationError
-            Listing every problem.
-        """
-        calibration_of(detector, self.readout)
+        """Raise an error if a layer's gas or field has no table of electron transport."""
+        error_inputs(detector, self.readout)
 
     def cluster(
         self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
@@ -81,78 +64,65 @@ class CalibratedClusterer(Clusterer):
 
         Raises
         ------
-        CalibrationError
-            If there is no calibration for this detector, field and read-out.
+        ValueError
+            If a layer's gas or field has no table of electron transport.
         """
-        calibration = calibration_of(detector, self.readout)
-        return self.cluster_with(detector, digis, calibration, bridge=settings.bridge, directions=directions)
-
-    def cluster_with(
-        self,
-        detector: Detector,
-        digis: Table,
-        calibration: Calibration | None = None,
-        *,
-        estimator: Estimator | None = None,
-        bridge: int = 0,
-        directions: Floats | None = None,
-    ) -> Table:
-        """Return clusters with the errors of a calibration; without one, errors of 1 mm.
-
-        Parameters
-        ----------
-        detector : Detector
-        digis : Table
-        calibration : Calibration or None
-        estimator : str or None
-            None: as the read-out says.
-        bridge : int
-            See `ClusterSettings`.
-        directions : (clusters, 2) float64 or None
-            See `Clusterer.cluster`.
-        """
-        calibration = calibration or neutral(len(detector.cgem))
-        estimator = estimator or self.readout.estimator
+        found = self.columns(detector, digis, error_inputs(detector, self.readout), settings.bridge, directions)
         tracks = np.empty((0, 2)) if directions is None else directions
-        found = _core.find_charge_time_clusters(
-            compiled(detector), dict(digis.columns), **self.strip_rules(detector),
-            errors=calibration.errors.reshape(-1, SIZES), shares=calibration.shares.reshape(-1, SIZES),
-            depth=calibration.depth.reshape(-1, CHARGES), height=calibration.height.reshape(-1, CHARGES),
-            edges=calibration.edges.reshape(-1, CHARGES - 1), estimator=estimator,
-            masked=strip_lists(detector).masked, bridge=bridge, gain=strip_gains(detector), valley=self.readout.valley,
-            pairs=calibration.pairs.ravel(), slope_errors=calibration.slope_errors.ravel(),
-            slope_shares=calibration.slope_shares.ravel(), slope_edges=SLOPE_EDGES,
-            charge_factors=calibration.charge_factors.ravel(),
-            distance_edges=calibration.distance_edges.reshape(-1, DISTANCES - 2),
-            distance_factors=calibration.distance_factors.reshape(-1, DISTANCES),
-            direction_slopes=SLOPE_KNOTS, direction_paths=PATH_KNOTS,
-            direction_depths=calibration.direction_depths.ravel(),
-            direction_factors=calibration.direction_factors.ravel(), slopes=tracks[:, 0], paths=tracks[:, 1],
-        )  # fmt: skip
         # X and V of a crossing come from the same electrons.
         layer = found["layer"]
-        alone, tracked = (calibration.mean_correlation(estimator, of_track)[layer] for of_track in (False, True))
+        alone, tracked = (self._correlation(detector, of_track)[layer] for of_track in (False, True))
         along = np.zeros(len(alone), np.bool_)
         along[: len(tracks)] = np.isfinite(tracks[: len(along), 0])
         found["corr_xv"] = np.where(along, tracked, alone)
         return Table("clusters", found, **digis.cover)
 
+    def columns(
+        self, detector: Detector, digis: Table, inputs: ErrorInputs, bridge: int = 0, directions: Floats | None = None
+    ) -> dict[str, Any]:
+        """Return the columns of the clusters, without the correlation of X and V.
+
+        Parameters
+        ----------
+        detector : Detector
+        digis : Table
+        inputs : ErrorInputs
+        bridge : int
+            See `ClusterSettings`.
+        directions : (clusters, 2) float64 or None
+            See `Clusterer.cluster`.
+        """
+        tracks = np.empty((0, 2)) if directions is None else directions
+        found: dict[str, Any] = _core.find_charge_time_clusters(
+            compiled(detector), dict(digis.columns), **self.strip_rules(detector), **inputs._asdict(),
+            estimator=self.readout.estimator, masked=strip_lists(detector).masked, bridge=bridge,
+            gain=strip_gains(detector), valley=self.readout.valley, slopes=tracks[:, 0], paths=tracks[:, 1],
+        )  # fmt: skip
+        return found
+
+    def _correlation(self, detector: Detector, of_track: bool) -> Floats:
+        """Return the mean over cos(theta) of the correlation of X and V, (layers,), for clusters of unknown angle."""
+        values = expected_errors(detector, self.readout, self.readout.estimator, of_track).correlation
+        steps = np.diff(COS_THETA) / (COS_THETA[-1] - COS_THETA[0])
+        return np.asarray(0.5 * (values[:, 1:] + values[:, :-1]) @ steps)
+
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
-        """Return the errors of clusters of all sizes by cos(theta), see `Clusterer.expected_errors`.
+        """Return the errors of clusters by cos(theta), see `Clusterer.expected_errors`.
 
         Raises
         ------
-        CalibrationError
-            If there is no calibration for this detector, field and read-out.
+        ValueError
+            If a layer's gas or field has no table of electron transport.
         """
-        return calibration_of(detector, self.readout).typical(self.readout.estimator, self.follows_tracks)
+        found = expected_errors(detector, self.readout, self.readout.estimator, self.follows_tracks)
+        return found.sigma_x, found.sigma_v
 
     def expected_correlations(self, detector: Detector) -> Floats:
         """Return the correlation of the errors of X and V by cos(theta), see `Clusterer.expected_correlations`."""
-        return calibration_of(detector, self.readout).correlation(self.readout.estimator, self.follows_tracks)
+        return expected_errors(detector, self.readout, self.readout.estimator, self.follows_tracks).correlation
 
 
-class ProjectionClusterer(CalibratedClusterer):
+class ProjectionClusterer(ChargeClusterer):
     """Takes the centroid of the charge: there is no time, and no drift."""
 
     estimators = ("centroid",)
@@ -160,22 +130,21 @@ class ProjectionClusterer(CalibratedClusterer):
     readout: ProjectionReadout
 
     def strip_rules(self, detector: Detector) -> dict[str, Any]:
-        """Return rules that leave time out, with the shift that layers state, see `CalibratedClusterer.strip_rules`."""
+        """Return rules that leave time out, with the shift that layers state, see `ChargeClusterer.strip_rules`."""
         layers = len(detector.cgem)
         shift = np.array([(layer.lorentz_shift or 0.0) / layer.r_readout for layer in detector.cgem])
         return {
             "timing": {name: np.zeros(layers) for name in ("tan_lorentz", "delay")}
             | {"velocity": np.ones(layers), "shift": shift},
-            "delay_charge": np.zeros((2 * layers, 1)),
-            "delay": np.zeros((2 * layers, 1)),
             "missing": 0,
             "edge": 0.0,
             "margin": math.inf,
+            "timed": False,
         }
 
 
-class ChargeTimeClusterer(CalibratedClusterer):
-    """Takes the centroid of the charge, the line through the places in the gap that times give, or both merged."""
+class ChargeTimeClusterer(ChargeClusterer):
+    """Takes the centroid of the charge, a line through the drift gap, or the line through the charge."""
 
     estimators = ("centroid", "micro-tpc", "merged")
 
@@ -192,7 +161,7 @@ class ChargeTimeClusterer(CalibratedClusterer):
         return self.readout.lorentz
 
     def strip_rules(self, detector: Detector) -> dict[str, Any]:
-        """Return the drift of the gas and the delays of the chip, see `CalibratedClusterer.strip_rules`.
+        """Return the drift of the gas, see `ChargeClusterer.strip_rules`.
 
         Raises
         ------
@@ -202,7 +171,6 @@ class ChargeTimeClusterer(CalibratedClusterer):
         drift = drift_columns(detector)
         flight = np.array([layer.r_mid for layer in detector.cgem]) / _SPEED_OF_LIGHT
         bend = 1.0 if self.readout.lorentz else 0.0
-        charge, delay = self.delays(drift["induction"])
         return {
             "timing": {
                 "velocity": drift["velocity"],
@@ -210,85 +178,7 @@ class ChargeTimeClusterer(CalibratedClusterer):
                 "shift": bend * drift["shift"],
                 "delay": drift["delay"] + flight,
             },
-            "delay_charge": charge,
-            "delay": delay,
             "missing": self.readout.missing,
             "edge": self.readout.edge,
             "margin": self.readout.time_margin,
         }
-
-    def delays(self, induction: Floats) -> tuple[Floats, Floats]:
-        """Return measured charge (fC) and delay of the chip (ns) by layer and view, each (2 layers, n) float64.
-
-        Parameters
-        ----------
-        induction : (layers,) float64, ns
-            Duration of the current of an electron.
-        """
-        chip, thresholds = self.readout.chip, (self.readout.threshold_x, self.readout.threshold_v)
-        if chip.kind == "apv25":
-            rows = [half_height(chip, float(duration)) for duration in induction for _ in thresholds]
-            found = np.array(rows).reshape(-1, 2, 2)
-        else:
-            rows = [leading_edges(chip, float(duration), one) for duration in induction for one in thresholds]
-            found = np.array(rows).reshape(-1, 2, _POINTS)
-        charge, delay = found.swapaxes(0, 1).copy()
-        return charge, delay
-
-
-_POINTS = 64  # of the table of a leading edge
-_LARGEST = 200.0  # fC, of the table
-_STEP = 0.1  # ns, in which leading edges are searched
-
-
-def leading_edges(chip: Chip, duration: float, threshold: float) -> tuple[Floats, Floats]:
-    """Return charge and delay that a chip like TIGER measures of charges that flow in evenly (time walk).
-
-    Parameters
-    ----------
-    chip : Chip
-    duration : float
-        ns, of the current.
-    threshold : float
-        fC.
-
-    Returns
-    -------
-    charge : ndarray, (64,) float64, fC, growing
-    delay : ndarray, (64,) float64, ns
-        Of the leading edge, after the beginning of the current.
-    """
-    times = np.arange(0.0, 400.0, _STEP)
-    edge = chip.timing.pulse(times, duration)
-    rise = slice(0, int(edge.argmax()) + 1)
-    charge = np.geomspace(1.01 * threshold / edge.max(), _LARGEST, _POINTS)
-    delay = np.interp(threshold / charge, edge[rise], times[rise])
-    return charge * chip.charge.pulse(delay + chip.sample_delay, duration), delay
-
-
-def half_height(chip: Chip, duration: float) -> tuple[Floats, Floats]:
-    """Return charge and delay that a chip like APV25 measures of charges that flow in evenly, the same at any charge.
-
-    Parameters
-    ----------
-    chip : Chip
-    duration : float
-        ns, of the current.
-
-    Returns
-    -------
-    charge : ndarray, (2,) float64, fC
-    delay : ndarray, (2,) float64, ns
-        Mean time after the beginning of the current at which samples reach half of the largest one.
-    """
-    times = chip.clock * np.arange(chip.samples, dtype=np.float64)
-    found = []
-    for phase in np.arange(0.5, chip.clock, dtype=np.float64):  # ns, of the arrival after a sample
-        arrival = 4 * chip.clock + float(phase)
-        samples = chip.timing.pulse(times - arrival, duration)
-        top = int(samples.argmax())
-        first = int(np.flatnonzero(samples[: top + 1] <= 0.5 * samples[top])[-1])
-        rise = samples[first + 1] - samples[first]
-        at = times[first] + chip.clock * (0.5 * samples[top] - samples[first]) / rise
-        found.append(at - arrival)
-    return np.array([0.0, 1.0]), np.full(2, np.mean(found))

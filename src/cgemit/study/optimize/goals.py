@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,12 +11,10 @@ import numpy as np
 
 from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.analysis.widths import GROUPS, Floats, jackknife
-from cgemit.base.errors import DetectorError, Problem, Problems, WrongValueError, did_you_mean
+from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean
 from cgemit.base.validate import is_whole
-from cgemit.covariance.sensitivity import calibrated_apart, errors_do_not_follow
 from cgemit.detector import Detector
 from cgemit.detector.inventory import GEOMETRY, Background, occupancy
-from cgemit.detector.readouts import Readout
 from cgemit.detector.variants import values_at
 from cgemit.study.sweep.evaluate import Evaluation, covariances
 from cgemit.study.sweep.space import Changes, own_text, own_value, split_range
@@ -399,32 +397,6 @@ def _parsed(base: Detector, key: str, given: Any) -> Variable | None:
     before, low, high, unit = ends
     whole = all(is_whole(end, -(10**9), 10**9) for end in given) and _is_integer(base, key)
     return Variable(key, low, high, before, unit, whole)
-
-
-def calibration_problems(base: Detector, variables: Sequence[Variable], readout: Readout) -> list[Problem]:
-    """Return the problem of a read-out whose calibrated errors do not follow what is varied, if there is one.
-
-    Parameters
-    ----------
-    base : Detector
-    variables : sequence of Variable
-    readout : Readout
-    """
-    keys = [one.key for one in variables if calibrated_apart(readout, base, _sample(base, one))]
-    if not keys:
-        return []
-    expected = "'binary' or 'gaussian', or evaluate 'mc' with own calibrations"
-    return [Problem("settings.digitize.readout", errors_do_not_follow(readout, keys), expected)]
-
-
-def _sample(base: Detector, one: Variable) -> Iterator[Detector]:
-    """Yield some possible designs with different values of a variable."""
-    values = one.choices or (one.low, 0.5 * (one.low + one.high), one.high, one.start(base))
-    for value in values:
-        try:
-            yield base.with_overrides({one.key: one.change(value)})
-        except DetectorError:
-            continue
 
 
 def _is_integer(base: Detector, key: str) -> bool:

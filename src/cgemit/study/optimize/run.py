@@ -17,7 +17,6 @@ from cgemit.base.validate import build
 from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers
 from cgemit.chain.run import Output
-from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, load
 from cgemit.detector.inventory import Background
 from cgemit.study.optimize.goals import (
@@ -26,7 +25,6 @@ from cgemit.study.optimize.goals import (
     Goals,
     Limit,
     Variable,
-    calibration_problems,
     goal_of,
     limits_of,
     variables_of,
@@ -198,9 +196,6 @@ def _checked(
     if evaluation and evaluation.function:
         problems.note("evaluate.method", "a function", "'analytic' or 'mc'")
     names: Any = tuple(dict.fromkeys(one.name for one in goals if one.resolution))
-    if names and evaluation and evaluation.kind == "analytic":
-        readout = (evaluation.settings or Settings()).digitize.readout
-        problems += calibration_problems(base, variables, readout)
     problems.report("optimize", PlanError)
     assert evaluation is not None
     full = replace(evaluation, quantities=names) if names else evaluation

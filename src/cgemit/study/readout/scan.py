@@ -22,14 +22,13 @@ from cgemit.chain.run import run
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import transport
 from cgemit.detector.parts import CgemLayer
-from cgemit.detector.readouts import AnalogReadout, CalibratedReadout, names_of
+from cgemit.detector.readouts import AnalogReadout, ChargeReadout, names_of
 from cgemit.draw.cluster import FormationPanel
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.cluster import calibrated_clusterer
-from cgemit.reconstruction.cluster_errors import calibration_of
-from cgemit.study.readout.calibrate import Measurements, calibration_from, common, measurements, true_directions
+from cgemit.reconstruction.cluster import cluster
+from cgemit.study.readout.errors import Measurements, common, measurements, true_directions, with_estimator
 from cgemit.tables import Table
 from cgemit.tables.show import Shown, with_error
 
@@ -106,8 +105,8 @@ class BeamPoint:
     efficiency : float
         Share of crossings with a cluster.
     widths : dict of str to Resolution
-        Residuals in um by estimator: ``"micro-tpc"`` only of clusters with a line fit; ``"track"`` uses the angle of
-        the track (`AnalogReadout.second_pass`).
+        Residuals in um by estimator: ``"micro-tpc"`` only of clusters with a line fit; ``"merged"`` the mean of this
+        and the centroid; ``"track"`` uses the angle of the track (`AnalogReadout.second_pass`).
     """
 
     angle: float
@@ -118,7 +117,7 @@ class BeamPoint:
 
 
 def beam_run(
-    detector: Detector, readout: CalibratedReadout, angle: float, *, n: int, seed: int, particle: str = "pi-",
+    detector: Detector, readout: ChargeReadout, angle: float, *, n: int, seed: int, particle: str = "pi-",
     p: float = 150.0, threads: int | None = None,
 ) -> Result:  # fmt: skip
     """Return a run of a beam up to its digis.
@@ -141,16 +140,18 @@ def beam_run(
 
 
 def beam_views(
-    detector: Detector, readout: CalibratedReadout, angle: float, *, n: int = 4000, seed: int = 1,
+    detector: Detector, readout: ChargeReadout, angle: float, *, n: int = 4000, seed: int = 1,
     particle: str = "pi-", p: float = 150.0, threads: int | None = None,
 ) -> tuple[BeamPoint, BeamPoint]:  # fmt: skip
-    """Return what a read-out resolves in X and V at one angle; another sample at the same angle calibrates it.
+    """Return what a read-out resolves in X and V at one angle.
+
+    The mean of centroid and line has the weight, from another sample at this angle, with which its variance is least.
 
     Parameters
     ----------
     detector : Detector
         As `beam_detector` makes it.
-    readout : CalibratedReadout
+    readout : ChargeReadout
     angle : float
         deg, positive towards larger phi.
     n : int
@@ -161,32 +162,62 @@ def beam_views(
         GeV/c.
     threads : int or None
     """
-    other, result = (
-        beam_run(detector, readout, angle, n=n, seed=one, particle=particle, p=p, threads=threads)
-        for one in (seed + 1, seed)
+    (samples, crossings), (other, _) = (
+        _estimates(beam_run(detector, readout, angle, n=n, seed=one, particle=particle, p=p, threads=threads), angle)
+        for one in (seed, seed + 1)
     )
-    calibration = calibration_from(other, readout, "beam")
-    if not len(result.truths) or not len(result.digis):
+    if "micro-tpc" in samples:
+        line, centroid = common(samples["micro-tpc"], samples["centroid"])
+        # Weights at this angle are found with another sample.
+        share = _line_shares(*common(other["micro-tpc"], other["centroid"]))[line.view]
+        merged = centroid.residual + share * (line.residual - centroid.residual)
+        samples["merged"] = centroid._replace(residual=merged)
+        # Clusters without a line have the centroid, which would be a second population.
+        samples["micro-tpc"] = Measurements._make(values[line.residual != centroid.residual] for values in line)
+    order = [name for name in ("centroid", "micro-tpc", "merged", "track") if name in samples]
+    x, v = (_view_point({name: samples[name] for name in order}, view, angle, crossings) for view in (0, 1))
+    return x, v
+
+
+def _estimates(result: Result, angle: float) -> tuple[dict[str, Measurements], int]:
+    """Return the clusters of a beam by estimator, ``"track"`` with the true slope, and the number of crossings."""
+    detector, digis, truths = result.detector, result.digis, result.truths
+    readout = result.settings.digitize.readout
+    assert isinstance(readout, ChargeReadout)
+    if not len(truths) or not len(digis):
         raise ValueError(
-            f"readout: got no {'charge on strips' if len(result.truths) else 'crossing of the layer'} at "
+            f"readout: got no {'charge on strips' if len(truths) else 'crossing of the layer'} at "
             f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
         )
-    clusterer = calibrated_clusterer(readout)
-    samples: dict[str, Measurements] = {}
-    for name in clusterer.estimators:
-        clusters = clusterer.cluster_with(detector, result.digis, calibration, estimator=name)
-        samples[name] = measurements(detector, clusters, result.truths, lorentz=clusterer.lorentz)
-    if "micro-tpc" in clusterer.estimators:
-        directions = true_directions(detector, clusters, result.truths)
-        clusters = clusterer.cluster_with(
-            detector, result.digis, calibration, estimator="merged", directions=directions
-        )
-        # Clusters without a line have the centroid, which would be a second population.
-        line, centroid = common(samples["micro-tpc"], samples["centroid"])
-        samples["micro-tpc"] = Measurements._make(values[line.residual != centroid.residual] for values in line)
-        samples["track"] = measurements(detector, clusters, result.truths, lorentz=clusterer.lorentz)
-    x, v = (_view_point(samples, view, angle, len(result.truths)) for view in (0, 1))
-    return x, v
+    found: dict[str, Measurements] = {}
+    for name in ("centroid", "micro-tpc") if isinstance(readout, AnalogReadout) else ("centroid",):
+        clusters = cluster(detector, digis, readout=with_estimator(readout, name))
+        found[name] = measurements(detector, clusters, truths)
+    if isinstance(readout, AnalogReadout):
+        directions = true_directions(detector, clusters, truths)
+        clusters = cluster(detector, digis, readout=with_estimator(readout, name), directions=directions)
+        found["track"] = measurements(detector, clusters, truths)
+    return found, len(truths)
+
+
+_ROUNDS = 5  # in which tails are left out
+
+
+def _line_shares(line: Measurements, centroid: Measurements) -> Floats:
+    """Return the weights of lines in X and V, (2,), with which the mean of line and centroid has the least variance.
+
+    Both follow the same electrons: their covariance counts. Tails do not.
+    """
+    shares = np.zeros(2)
+    for view in (0, 1):
+        pair = np.array([centroid.residual, line.residual])[:, centroid.view == view]
+        for _ in range(_ROUNDS):
+            if pair.shape[1] > 1:
+                pair = pair[:, (np.abs(pair) < 3 * np.std(pair, axis=1, keepdims=True)).all(axis=0)]
+        apart = pair[1] - pair[0]
+        square = float(apart @ apart)
+        shares[view] = np.clip(-(pair[0] @ apart) / square, 0, 1) if square > 0 else 0.0
+    return shares
 
 
 def _view_point(samples: dict[str, Measurements], view: int, angle: float, crossings: int) -> BeamPoint:
@@ -295,7 +326,7 @@ class BeamScan(Shown):
 
 
 def scan(
-    readout: CalibratedReadout, quantity: str, values: Sequence[float], *, angle: float = 0.0, bz: float = 1.0,
+    readout: ChargeReadout, quantity: str, values: Sequence[float], *, angle: float = 0.0, bz: float = 1.0,
     n: int = 4000, seed: int = 1, particle: str = "pi-", p: float = 150.0, threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> BeamScan:  # fmt: skip
@@ -303,7 +334,7 @@ def scan(
 
     Parameters
     ----------
-    readout : CalibratedReadout
+    readout : ChargeReadout
     quantity : str
         One of `QUANTITIES`.
     values : sequence of float
@@ -334,8 +365,8 @@ def scan(
 
 
 def _setting(
-    readout: CalibratedReadout, quantity: str, value: float, angle: float, bz: float
-) -> tuple[Detector, CalibratedReadout, float]:
+    readout: ChargeReadout, quantity: str, value: float, angle: float, bz: float
+) -> tuple[Detector, ChargeReadout, float]:
     """Return detector, read-out and angle (deg) of one value."""
     if quantity == "angle":
         angle = float(np.round(value, 9))
@@ -358,7 +389,7 @@ _SWITCHES = ((False, 0.0), (True, 0.0), (False, 1.0), (True, 1.0))  # Lorentz an
 
 
 def formation(
-    readout: CalibratedReadout,
+    readout: ChargeReadout,
     *,
     angle: float = 20.0,
     bz: float = 1.0,
@@ -463,8 +494,7 @@ def _lines(
     return lines
 
 
-WAYS = ("geometry", "charge", "charge and time")
-_TOUCHED = 0.1  # as in the kernel
+WAYS = ("geometry", "charge and time")
 _APART = 1e6  # of the score of pairs that do not cross on the sheet
 _HEAD = ("tracks", "crossings of clusters per track", *(f"wrong by {way} [%]" for way in WAYS))
 
@@ -521,7 +551,7 @@ class GhostScan(Shown):
 
 
 def scan_ghosts(
-    detector: Detector, readout: CalibratedReadout, tracks: Sequence[int] = (2, 4, 6), *, n: int = 1000, seed: int = 1,
+    detector: Detector, readout: ChargeReadout, tracks: Sequence[int] = (2, 4, 6), *, n: int = 1000, seed: int = 1,
     layer: int = 0, p: float = 1.0, cos_theta: float = 0.8, threads: int | None = None,
 ) -> GhostScan:  # fmt: skip
     """Return how often pairs are wrong if tracks cross one sheet together.
@@ -548,7 +578,6 @@ def scan_ghosts(
     edge = 0.0 if one.sheets == 1 else 0.15  # rad: muons turn on their way
     phi = (0.0, 2 * math.pi) if one.sheets == 1 else (one.phi_first + edge, one.phi_first + width - edge)
     gun = Gun("mu-", p=p, cos_theta=(-cos_theta, cos_theta), phi=phi)
-    numbers = calibration_of(detector, readout).pairs[layer]
     points = []
     for number in tracks:
         result = run(
@@ -561,48 +590,17 @@ def scan_ghosts(
             keep=["clusters", "truths"],
             workers=threads,
         )
-        points.append(_point(result.clusters, numbers, layer, number, seed))
+        points.append(_point(result.clusters, layer, number, seed))
     title = f"{readout.name}, layer {one.label} of {detector.name}, mu- of {p:g} GeV/c, {n} events each"
     return GhostScan(title, tuple(points))
 
 
-def pair_scores(numbers: Floats, clusters: Table, x: npt.ArrayLike, v: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """Return the logarithms of likelihood ratios of pairs of clusters from charge and from time.
-
-    The column ``score`` is ln(0.9 exp(sum of both) + 0.1), which has the same order.
-
-    Parameters
-    ----------
-    numbers : (PAIR,) float64
-        Of the layer, see `Calibration.pairs`.
-    clusters : Table
-    x, v : (n,) int
-        Rows of X and V clusters.
-    """
-    charge = np.log(np.maximum(clusters["charge"][x], 1e-3) / np.maximum(clusters["charge"][v], 1e-3))
-    late = clusters["time"][x] - clusters["time"][v]
-    return _log_ratio(charge, *numbers[[0, 1, 4]]), _log_ratio(late, *numbers[[2, 3, 5]])
-
-
-def _log_ratio(value: Floats, mean: float, width: float, apart: float) -> Floats:
-    near, far = (value - mean) / width, value / apart
-    return np.asarray(0.5 * (far**2 - near**2) + math.log(apart / width))
-
-
-def _with_touched(ratio: Floats) -> Floats:
-    return np.logaddexp(math.log1p(-_TOUCHED) + ratio, math.log(_TOUCHED))
-
-
-def _point(clusters: Table, numbers: Floats, layer: int, tracks: int, seed: int) -> GhostPoint:
+def _point(clusters: Table, layer: int, tracks: int, seed: int) -> GhostPoint:
     """Return what the best assignment of all clusters of a sheet gets wrong."""
     random = np.random.default_rng(seed)
     pairs = np.flatnonzero((clusters["view"] == 2) & (clusters["layer"] == layer) & (clusters["sheet"] == 0))
     x, v = clusters["x_cluster"][pairs], clusters["v_cluster"][pairs]
-    by_charge, by_time = pair_scores(numbers, clusters, x, v)
-    scores = {
-        "geometry": np.zeros(len(pairs)), "charge": _with_touched(by_charge),
-        "charge and time": _with_touched(by_charge + by_time),
-    }  # fmt: skip
+    scores = {"geometry": np.zeros(len(pairs)), "charge and time": clusters["score"][pairs]}
     # Equal scores are decided by lot.
     scores = {way: values + 1e-9 * random.uniform(size=len(pairs)) for way, values in scores.items()}
     same = (clusters["truth"][x] == clusters["truth"][v]) & (clusters["truth"][x] >= 0)

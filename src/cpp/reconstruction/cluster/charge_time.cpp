@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "reconstruction/cluster/strip_runs.hpp"
 #include "reconstruction/cluster/view_reconstruction.hpp"
@@ -21,15 +22,26 @@ double weight_of(const StripPoint& point, double mean) { return 1 / (1 + mean / 
 
 }  // namespace
 
-Line fit_line_along(std::span<const StripPoint> points, double slope) {
-  const double mean = mean_charge(points);
-  double s = 0, sum = 0;
-  for (const StripPoint& point : points) {
-    const double weight = weight_of(point, mean);
-    s += weight;
-    sum += weight * (point.position - slope * point.height);
+double DelayTable::at(std::size_t plane, double spread, double charge) const {
+  const std::span<const double> q = charges.subspan(plane * points, points);
+  std::size_t below = 0;
+  double share = 0;
+  if (charge >= q.back()) {
+    below = points - 2;
+    share = 1;
+  } else if (charge > q.front()) {
+    below = static_cast<std::size_t>(std::ranges::upper_bound(q, charge) - q.begin()) - 1;
+    share = (charge - q[below]) / (q[below + 1] - q[below]);
   }
-  return {sum / s, slope, true};
+  const auto row = [&](std::size_t i) {
+    const double* const at = &delays[(plane * spreads.size() + i) * points + below];
+    return at[0] + share * (at[1] - at[0]);
+  };
+  if (spreads.size() < 2) return row(0);
+  const double nth =
+      std::clamp(spread / (spreads[1] - spreads[0]), 0.0, static_cast<double>(spreads.size() - 1));
+  const auto first = std::min(static_cast<std::size_t>(nth), spreads.size() - 2);
+  return row(first) + (nth - static_cast<double>(first)) * (row(first + 1) - row(first));
 }
 
 Line fit_line(std::span<const StripPoint> points, double stiffness) {
@@ -51,11 +63,6 @@ Line fit_line(std::span<const StripPoint> points, double stiffness) {
 
 namespace {
 
-struct Measured {
-  double value, error;
-  Estimator estimator;  // of the value; the error is that of the read-out's one
-};
-
 // Of a straight track from the beam line through a place at z.
 double slope_at(const CgemLayer& layer, ClusterView view, double z) {
   return view == ClusterView::x ? 0 : -layer.sin_stereo * z / layer.r_mid();
@@ -74,7 +81,8 @@ class ChargeTimeClusters {
     const auto number = static_cast<std::size_t>(digis_.layer[row]);
     const LayerTiming& timing = model_.layers[number];
     const double charge = std::max(digis_.charge[row], least_charge),
-                 drift = digis_.time[row] - timing.delay - model_.delays.at(number, digis_.view[row], charge);
+                 drift = digis_.time[row] - timing.delay -
+                         model_.delays.at(2 * number + static_cast<std::size_t>(digis_.view[row]), 0, charge);
     const double longest = (layer.r_gap_out - layer.r_gap_in) / timing.velocity;
     return drift >= -model_.margin && drift <= longest + model_.margin;
   }
@@ -96,49 +104,49 @@ class ChargeTimeClusters {
     }
   }
 
-  ClusterRow make(const CgemLayer& layer, StripRun run, std::size_t row) const {
+  ClusterRow make(const CgemLayer& layer, StripRun run, std::size_t row) {
     ClusterRow cluster = row_of_run(layer, digis_, run);
-    const int view = static_cast<int>(cluster.view);
-    const auto number = static_cast<std::size_t>(cluster.layer);
-    const ViewReconstruction plane(layer, number, view, model_);
-    double charge = 0;
-    for (std::size_t i = 0; i < run.size(); ++i) {
-      charge += run.charge(digis_, i) / plane.gain(digis_, run.rows[i]);
-    }
-    const std::size_t of_charge = model_.calibration.row(view, number, charge);
-    const auto points = plane.points(digis_, run, model_.calibration.depth[of_charge]);
     if (!model_.slopes.empty() && row >= model_.slopes.size()) {
       throw std::invalid_argument("slopes: expected one for each cluster");
     }
-    Measured at = alone(plane, cluster, of_charge, points);
-    if (has_track(row)) {
-      const Measured along =
-          along_track(plane, cluster, of_charge, points, {model_.slopes[row], model_.paths[row]});
-      cluster.shift = along.value - at.value;
-      at = along;
-    }
-    cluster.estimator = static_cast<int>(at.estimator);
-    cluster.time = plane.time(points, model_.calibration.depth[of_charge]);
+    const ViewReconstruction plane = plane_of(layer, cluster);
+    sheet_.push_back({plane.strips(digis_, run), {}});
+    sheet_.back().charge = charge_at(plane, sheet_.back().strips, plane.slope_at_anode(0));
     cluster.method = ClusterMethod::positions;
-    if (cluster.view == ClusterView::x) {
-      cluster.x = at.value;
-      cluster.err_x = at.error;
-      set_azimuth(layer, cluster);
-    } else {
-      cluster.v = at.value;
-      cluster.err_v = at.error;
+    measure(layer, sheet_.back(), {0, 1, false}, cluster);
+    if (has_track(row)) {
+      const double alone = cluster.view == ClusterView::x ? cluster.x : cluster.v;
+      measure(layer, sheet_.back(), {model_.slopes[row], model_.paths[row], true}, cluster);
+      cluster.shift = (cluster.view == ClusterView::x ? cluster.x : cluster.v) - alone;
     }
     return cluster;
   }
 
-  double score(const ClusterRow& x, const ClusterRow& v) const {
-    return model_.pairs.values.empty() ? 0 : model_.pairs.score(x, v);
+  // Logarithm of the ratio of likelihoods, of one track over two tracks, of clusters of the sheet that cross
+  // at z; never below that of a pair of which one has charge of something else.
+  double score(const CgemLayer& layer, std::span<const ClusterRow> views, std::size_t i, std::size_t k,
+               double z) {
+    const Arrival x = arrival(layer, views[i], sheet_[i], z), v = arrival(layer, views[k], sheet_[k], z);
+    const auto number = static_cast<std::size_t>(views[i].layer);
+    const auto ratio = [](double value, double variance, double apart) {
+      const double wide = apart * apart + variance;
+      return 0.5 * (value * value / wide - value * value / variance + std::log(wide / variance));
+    };
+    const double spread = model_.errors.chip.share_spread;
+    double clean = std::log1p(-touched) + ratio(std::log(x.charge / v.charge),
+                                                spread * spread + x.charge_variance + v.charge_variance,
+                                                model_.errors.charges_apart[number]);
+    if (model_.timed)
+      clean += ratio(x.time - v.time, x.time_variance + v.time_variance, model_.errors.times_apart[number]);
+    // ln(exp(clean) + touched), for any size of `clean`.
+    const double floor = std::log(touched);
+    return std::max(clean, floor) + std::log1p(std::exp(-std::abs(clean - floor)));
   }
 
   // Clusters of no known track have the direction of a straight one from the beam line through the place of
   // their best pair.
   void place(const CgemLayer& layer, std::span<ClusterRow> views, std::span<const CrossingPair> pairs,
-             std::size_t first) const {
+             std::size_t first) {
     std::vector<const CrossingPair*> best(views.size(), nullptr);
     for (const CrossingPair& pair : pairs) {
       for (const std::size_t i : {pair.x, pair.v}) {
@@ -146,87 +154,114 @@ class ChargeTimeClusters {
       }
     }
     for (std::size_t i = 0; i < views.size(); ++i) {
-      if (best[i] && !has_track(first + i)) correct(layer, views[i], best[i]->z);
+      if (best[i] && !has_track(first + i))
+        measure(layer, sheet_[i], towards(layer, views[i], best[i]->z), views[i]);
     }
+    sheet_.clear();
   }
 
  private:
+  // Share of the pairs of one particle of which a cluster has charge of something else, such as a delta
+  // electron or another track, or has lost a part: their charges and times differ as those of two particles.
+  static constexpr double touched = 0.1;
+  // Squares of its error by which the strips' own slope may differ from that of a track from the beam line.
+  static constexpr double disagreement = 1;
+
+  // What is known of the direction of a cluster's track.
+  struct Known {
+    double slope, path;  // dX/dr or dV/dr at the anode; path per radius
+    bool of_track;       // or of a straight track from the beam line
+  };
+  struct Arrival {
+    double charge, charge_variance;  // fC; relative
+    double time, time_variance;      // ns
+  };
+
   bool has_track(std::size_t row) const {
     return !model_.slopes.empty() && std::isfinite(model_.slopes[row]);
   }
+  ViewReconstruction plane_of(const CgemLayer& layer, const ClusterRow& cluster) const {
+    return {layer, static_cast<std::size_t>(cluster.layer), static_cast<int>(cluster.view), model_};
+  }
+  static Known towards(const CgemLayer& layer, const ClusterRow& cluster, double z) {
+    return {slope_at(layer, cluster.view, z), path_at(layer, z), false};
+  }
 
-  // For the direction of a track from the beam line.
-  void correct(const CgemLayer& layer, ClusterRow& cluster, double z) const {
+  // The strips of a cluster, and their charge as of a track along the radius.
+  struct Fired {
+    std::vector<FiredStrip> strips;
+    ChargeMoments charge;
+  };
+
+  ChargeMoments charge_at(const ViewReconstruction& plane, std::span<const FiredStrip> strips, double slope) {
+    plane.points(strips, slope, points_);
+    return moments_of(points_);
+  }
+
+  // Charge and mean time of a cluster whose track comes from the beam line through z.
+  Arrival arrival(const CgemLayer& layer, const ClusterRow& cluster, const Fired& fired, double z) {
+    const ViewReconstruction plane = plane_of(layer, cluster);
+    const double along = slope_at(layer, cluster.view, z), slope = plane.slope_at_anode(along);
+    const ChargeMoments charge = along == 0 ? fired.charge : charge_at(plane, fired.strips, slope);
+    const ChargeErrors& errors = model_.errors;
+    const PlaneErrors& at =
+        errors.plane(static_cast<int>(cluster.view), static_cast<std::size_t>(cluster.layer));
+    const double lost = at.threshold / charge.charge, noise = errors.chip.noise / charge.charge;
+    return {charge.charge, charge.strips * noise * noise + lost * lost / 6, plane.time(fired.strips, charge),
+            errors.height_variance(at, charge, errors.span(at, slope)) / (at.velocity * at.velocity)};
+  }
+
+  // Sets position, error and time.
+  void measure(const CgemLayer& layer, const Fired& fired, Known known, ClusterRow& cluster) {
+    const ViewReconstruction plane = plane_of(layer, cluster);
+    const int view = static_cast<int>(cluster.view);
     const auto number = static_cast<std::size_t>(cluster.layer);
-    const ViewReconstruction plane(layer, number, static_cast<int>(cluster.view), model_);
-    const double slope = slope_at(layer, cluster.view, z);
-    const Direction direction{plane.slope_at_anode(slope), path_at(layer, z)};
-    const DirectionTable& from = model_.directions;
-    const std::size_t plane_number = number_of(cluster);
-    const double shift =
-        from.shift(from.row(false, static_cast<Estimator>(cluster.estimator), plane_number), direction);
-    const double factor = from.factor(from.row(false, model_.estimator, plane_number), direction);
-    cluster.shift -= shift;
+    Direction direction{plane.slope_at_anode(known.slope), known.path};
+    const ChargeMoments charge =
+        known.slope == 0 ? fired.charge : charge_at(plane, fired.strips, direction.slope);
+    cluster.time = plane.time(fired.strips, charge);
+    double value = 0, variance = 0;
+    Line line{0, 0, false};
+    if (model_.estimator == Estimator::micro_tpc && !known.of_track) {
+      plane.points(fired.strips, direction.slope, points_);
+      line = plane.line(points_);
+    }
+    if (line.good) {
+      value = line.at_middle;
+      variance = model_.errors.of_free_line(view, number, charge, direction);
+    } else if (model_.estimator == Estimator::merged || known.of_track) {
+      double slope_variance = 0;
+      if (!known.of_track) {
+        // The strips' own slope and the one from the beam line, of which the track may not come. Strips have
+        // the mean heights of their charge, which spread less than the charge itself.
+        const PlaneErrors& at = model_.errors.plane(view, number);
+        const double seen = model_.errors.span(at, direction.slope);
+        const double apart = charge.xh / (charge.hh + seen * seen / 12) - direction.slope;
+        const double own = model_.errors.slope_weight(at, charge), spread = model_.errors.chip.slope;
+        const double unlikely = own > 0 ? std::max(apart * apart - disagreement / own, 0.0) : 0;
+        slope_variance = 1 / (own + 1 / (spread * spread + unlikely));
+        const double more = own > 0 ? slope_variance * own * apart : 0;
+        known.slope += more;
+        direction.slope += more;
+      }
+      value = charge.position - plane.lorentz(charge.height) - known.slope * charge.height;
+      variance = model_.errors.of_charge_line(view, number, charge, direction, slope_variance);
+    } else {
+      value = charge.position - plane.lorentz(0);
+      variance = model_.errors.of_centroid(view, number, charge, direction);
+    }
     if (cluster.view == ClusterView::x) {
-      cluster.x -= shift;
-      cluster.err_x *= factor;
+      cluster.x = value;
+      cluster.err_x = std::sqrt(variance);
       set_azimuth(layer, cluster);
     } else {
-      cluster.v -= shift;
-      cluster.err_v *= factor;
+      cluster.v = value;
+      cluster.err_v = std::sqrt(variance);
     }
   }
 
-  // From the cluster alone.
-  Measured alone(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t row,
-                 std::span<const StripPoint> points) const {
-    const Calibration& from = model_.calibration;
-    const double centroid = plane.centroid(points, from.height[row]);
-    const Line line = plane.line(points, std::nullopt);
-    Measured found = merged(centroid, line, from.share(row, cluster.size));
-    found.error =
-        from.error(model_.estimator, row, cluster.size) *
-        model_.factors.of_distance(false, model_.estimator, number_of(cluster), distance(centroid, line));
-    return found;
-  }
-
-  // With the direction of the track that has the cluster.
-  Measured along_track(const ViewReconstruction& plane, const ClusterRow& cluster, std::size_t of_charge,
-                       std::span<const StripPoint> points, Direction track) const {
-    const SlopeErrors& from = model_.slope_errors;
-    const Direction direction{plane.slope_at_anode(track.slope), track.path};
-    const std::size_t row = from.row(static_cast<int>(cluster.view), static_cast<std::size_t>(cluster.layer),
-                                     direction.slope, cluster.size);
-    const double centroid = plane.centroid(points, model_.calibration.height[of_charge]);
-    const Line line = plane.line(points, track.slope);
-    const std::size_t number = number_of(cluster);
-    const DirectionTable& directions = model_.directions;
-    Measured found = merged(centroid, line, from.shares[row]);
-    found.value -= directions.shift(directions.row(true, found.estimator, number), direction);
-    found.error = from.error(model_.estimator, row) *
-                  model_.factors.along[model_.calibration.entry(model_.estimator, of_charge, cluster.size)] *
-                  model_.factors.of_distance(true, model_.estimator, number, distance(centroid, line)) *
-                  directions.factor(directions.row(true, model_.estimator, number), direction);
-    return found;
-  }
-  std::size_t number_of(const ClusterRow& cluster) const {
-    return static_cast<std::size_t>(cluster.view) * model_.calibration.layers +
-           static_cast<std::size_t>(cluster.layer);
-  }
-  static double distance(double centroid, const Line& line) {
-    return line.good ? std::abs(centroid - line.at_middle) : 0;
-  }
-
-  // The position that the estimator selects, without its error; the centroid where there is no line.
-  Measured merged(double centroid, const Line& line, double share) const {
-    const Estimator which = line.good ? model_.estimator : Estimator::centroid;
-    const double line_share = which == Estimator::centroid    ? 0
-                              : which == Estimator::micro_tpc ? 1
-                                                              : 1 - share;
-    const double value = line_share > 0 ? centroid + line_share * (line.at_middle - centroid) : centroid;
-    return {value, not_measured, which};
-  }
-
+  std::vector<Fired> sheet_;        // of the clusters of the sheet
+  std::vector<StripPoint> points_;  // of one cluster
   const DigiView& digis_;
   const ChargeTimeModel& model_;
 };

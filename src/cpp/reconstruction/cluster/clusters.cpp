@@ -45,7 +45,9 @@ struct BinaryClusters {
   ClusterRow make(const CgemLayer& layer, StripRun rows, std::size_t) const {
     return make_cluster(layer, digis, rows, errors, position);
   }
-  double score(const ClusterRow&, const ClusterRow&) const { return 0; }
+  double score(const CgemLayer&, std::span<const ClusterRow>, std::size_t, std::size_t, double) const {
+    return 0;
+  }
 };
 
 }  // namespace

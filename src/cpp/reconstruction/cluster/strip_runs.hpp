@@ -92,14 +92,14 @@ struct CrossingPair {
 
 // All pairs of one sheet: `views` holds its X clusters, then its V clusters.
 template <class Model>
-void find_pairs(const CgemLayer& layer, std::span<const ClusterRow> views, const Model& model,
+void find_pairs(const CgemLayer& layer, std::span<const ClusterRow> views, Model& model,
                 std::vector<CrossingPair>& pairs) {
   pairs.clear();
   for (std::size_t i = 0; i < views.size() && views[i].view == ClusterView::x; ++i) {
     for (std::size_t k = i + 1; k < views.size(); ++k) {
       if (views[k].view != ClusterView::v) continue;
       const double z = crossing_z(layer, views[i].x - views[i].shift, views[k].v - views[k].shift);
-      if (!(std::abs(z) > layer.half_length)) pairs.push_back({i, k, z, model.score(views[i], views[k])});
+      if (!(std::abs(z) > layer.half_length)) pairs.push_back({i, k, z, model.score(layer, views, i, k, z)});
     }
   }
 }
@@ -153,7 +153,7 @@ inline void widen(const CgemLayer& layer, const StripMask& mask, ClusterRow& clu
 // Clusters of all digis. A model has
 //   cuts(layer, rows, cuts): appends the numbers, within a run of strips, of those at which it falls apart;
 //   make(layer, run, row): the cluster of a run, which will be this row of the table;
-//   score(x, v): how well two clusters fit each other;
+//   score(layer, views, i, k, z): how well two clusters of a sheet that cross at z fit each other;
 //   place(layer, views, pairs, first): changes clusters of a sheet, of which the first will be this row of
 //   the table, for where their pairs cross (without it, they stay); keeps(layer, row): whether a digi may be
 //   of a particle (without it, all may).

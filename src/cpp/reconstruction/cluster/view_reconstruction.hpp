@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <span>
 #include <vector>
 
@@ -14,6 +13,37 @@
 namespace cgemit {
 
 inline constexpr double least_charge = 1e-3;  // fC
+
+// A strip of a cluster.
+struct FiredStrip {
+  double position;  // mm, X or V at the anode
+  double charge,
+      measured;  // fC: at a gain of 1 and its share of a divided strip; as the chip has measured it
+  double drift;  // ns, after the arrival of electrons without drift; with the delay of the chip
+};
+
+inline ChargeMoments moments_of(std::span<const StripPoint> points) {
+  ChargeMoments found;
+  const double origin = points.front().position;
+  for (const StripPoint& point : points) {
+    found.charge += point.charge;
+    found.position += point.charge * (point.position - origin);
+    found.height += point.charge * point.height;
+  }
+  found.position /= found.charge;
+  found.height /= found.charge;
+  for (const StripPoint& point : points) {
+    const double share = point.charge / found.charge, x = point.position - origin - found.position,
+                 h = point.height - found.height;
+    found.xx += share * x * x;
+    found.xh += share * x * h;
+    found.hh += share * h * h;
+    found.squares += share * share;
+  }
+  found.position += origin;
+  found.strips = static_cast<double>(points.size());
+  return found;
+}
 
 // One view of one layer.
 class ViewReconstruction {
@@ -36,62 +66,65 @@ class ViewReconstruction {
     if (model_.gain.empty()) return 1;
     return model_.gain[static_cast<std::size_t>(gid_of(layer_, digis.sheet[row], view_, digis.strip[row]))];
   }
-  // `depth` is added to the heights.
-  std::vector<StripPoint> points(const DigiView& digis, StripRun rows, double depth) const {
-    const double start = layer_.r_gap_out - layer_.r_mid() + depth;
-    std::vector<StripPoint> found;
+  std::vector<FiredStrip> strips(const DigiView& digis, StripRun rows) const {
+    std::vector<FiredStrip> found;
     found.reserve(rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
       const std::size_t row = rows.rows[i];
       const double strip = digis.strip[row] + 0.5, charge = std::max(rows.charge(digis, i), least_charge);
-      const double measured = std::max(digis.charge[row], least_charge);
-      const double drift = digis.time[row] - timing_.delay - model_.delays.at(number_, view_, measured);
       found.push_back({view_ == 0 ? x_of_strips(layer_, strip) : v_of_strips(layer_, strip),
-                       charge / gain(digis, row), start - drift * timing_.velocity});
+                       charge / gain(digis, row), std::max(digis.charge[row], least_charge),
+                       digis.time[row] - timing_.delay});
     }
     return found;
   }
-  // Mean time of the charge, ns, without the delay of the chip; `depth` as for `points`.
-  double time(std::span<const StripPoint> points, double depth) const {
-    const double start = layer_.r_gap_out - layer_.r_mid() + depth;
-    double charge = 0, sum = 0;
-    for (const StripPoint& point : points) {
-      charge += point.charge;
-      sum += point.charge * (start - point.height);
+  // Heights are those of the mean arrival of a strip's charge, which comes from all of the gap that the strip
+  // sees. `slope`: of the places of origin at the anode.
+  void points(std::span<const FiredStrip> strips, double slope, std::vector<StripPoint>& found) const {
+    const PlaneErrors& plane = model_.errors.plane(view_, number_);
+    const double seen = model_.timed ? model_.errors.span(plane, slope) : 0;
+    const ChipErrors& chip = model_.errors.chip;
+    double charge = 0;
+    for (const FiredStrip& strip : strips) charge += strip.charge;
+    const double lost = plane.threshold * static_cast<double>(strips.size()) / charge;
+    const double start =
+        half_gap() + chip.height + seen * (chip.height_per_span + chip.height_by_threshold * lost);
+    found.clear();
+    for (const FiredStrip& strip : strips) {
+      const double delay = model_.delays.at(2 * number_ + static_cast<std::size_t>(view_),
+                                            seen / timing_.velocity, strip.measured);
+      const double height = model_.timed ? start - (strip.drift - delay) * timing_.velocity : 0;
+      found.push_back({strip.position, strip.charge, height});
     }
-    return timing_.delay + sum / charge / timing_.velocity;
+  }
+  // Mean time of the charge, ns, without the delay of the chip.
+  double time(std::span<const FiredStrip> strips, const ChargeMoments& charge) const {
+    if (model_.timed) return timing_.delay + (half_gap() - charge.height) / timing_.velocity;
+    double sum = 0;
+    for (const FiredStrip& strip : strips) sum += strip.charge * strip.drift;
+    return timing_.delay + sum / charge.charge;
   }
   // Slope of the electrons' places of origin as the anode sees them, for a slope of the track.
   double slope_at_anode(double slope) const { return slope - across_ * timing_.tan_lorentz / layer_.r_mid(); }
-  // `height`: mean one of the charge.
-  double centroid(std::span<const StripPoint> all, double height) const {
-    double charge = 0, sum = 0;
-    for (const StripPoint& point : all) {
-      charge += point.charge;
-      sum += point.charge * (point.position - all.front().position);
-    }
-    return all.front().position + sum / charge - lorentz(height);
-  }
-  // Line through the strips inside the gap, each moved back by its own Lorentz shift. With a slope it only
-  // needs one strip.
-  Line line(std::span<const StripPoint> all, std::optional<double> slope) const {
-    const double half = layer_.r_gap_out - layer_.r_mid() + outside;
+  // Line through the strips inside the gap, each moved back by its own Lorentz shift.
+  Line line(std::span<const StripPoint> all) const {
     std::vector<StripPoint> used;
     used.reserve(all.size());
     for (std::size_t i = 0; i < all.size(); ++i) {
-      if (std::abs(all[i].height) > half || induced(all, i)) continue;
+      if (std::abs(all[i].height) > half_gap() + outside || induced(all, i)) continue;
       used.push_back(all[i]);
       used.back().position += to_border(all, i) - lorentz(all[i].height);
     }
-    if (used.size() < (slope ? 1 : 3)) return {0, 0, false};
+    if (used.size() < 3) return {0, 0, false};
     const double origin = used.front().position;
     for (StripPoint& point : used) point.position -= origin;
-    Line found = slope ? fit_line_along(used, *slope) : fit_line(used, stiffness());
+    Line found = fit_line(used, stiffness());
     found.at_middle += origin;
     return found;
   }
 
  private:
+  double half_gap() const { return layer_.r_gap_out - layer_.r_mid(); }
   // Where on an outermost strip its charge is, from the middle: a cloud that hardly reaches the strip has its
   // charge at the border to the neighbour, one with as much charge as the neighbour in the middle.
   double to_border(std::span<const StripPoint> all, std::size_t i) const {
