@@ -30,7 +30,7 @@ COS_THETA = np.array([-0.9, -0.85, -0.78, -0.69, -0.58, -0.45, -0.3, -0.15, 0.0,
 
 SLOPE = 0.05
 """Spread of tracks' slopes about the direction from the beam line, of clusters that know no track."""
-_PATHS = np.array([1.0, 1.1, 1.25, 1.5, 2.0, 3.0])  # per radius, of the table of shares
+_PATHS = np.geomspace(1.0, 3.0, 12)  # per radius, of the table of shares
 _NUMBERS = np.geomspace(2.0, 500.0, 40)  # of electrons, of the same
 _SPREADS = np.linspace(0.0, 260.0, 14)  # ns, in which the charge of a strip arrives
 _MUON = math.log(9.46)  # ln(beta gamma) of 1 GeV/c, whose ionization is expected
@@ -380,8 +380,7 @@ def expected_errors(detector: Detector, readout: ChargeReadout, estimator: str, 
 def _of_table(shares: dict[str, Floats], layer: int, path: Floats, numbers: Floats) -> Floats:
     """Return the mean of the sum of squares of shares, (angles, numbers)."""
     table = shares["values"].reshape(-1, len(_PATHS), len(_NUMBERS))[layer]
-    by_number = np.array([[np.interp(number, _NUMBERS, row) for number in numbers.ravel()] for row in table])
-    by_number = by_number.reshape(len(_PATHS), *numbers.shape)
+    by_number = np.array([np.interp(numbers, _NUMBERS, row) for row in table])
     return np.array(
         [
             [np.interp(length, _PATHS, by_number[:, i, k]) for k in range(numbers.shape[1])]
