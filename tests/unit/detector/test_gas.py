@@ -16,6 +16,7 @@ from cgemit.detector.build import library
 from cgemit.detector.gas import (
     MAX_B,
     REST_ENERGY,
+    cluster_shares,
     clusters_per_mm,
     drift_columns,
     elastic,
@@ -48,6 +49,56 @@ def test_number_of_clusters_is_poisson() -> None:
     mean = 3.60 * 5  # HEED, 36.0 per cm
     assert_within(number.mean(), mean, math.hypot(math.sqrt(mean / N), 0.002 * mean), what="mean")
     assert_within(number.var(), mean, math.hypot(math.sqrt((mean + 2 * mean**2) / N), 0.002 * mean), what="variance")
+
+
+def sizes_drawn(n: int, random: np.random.Generator) -> np.ndarray:
+    """Return electrons of ionization clusters, drawn from the table: listed sizes, and 1/n^2 within ranges."""
+    table = ionization("ar-ic4h10-90-10")
+    row = np.searchsorted(table.sizes, random.random(n))
+    size = 1 + row
+    listed = len(table.sizes) - len(table.tail) + 1
+    far = row >= listed
+    first, last = (table.tail[row[far] - listed + side] for side in (0, 1))
+    size[far] = np.rint(1 / (1 / first - random.random(np.count_nonzero(far)) * (1 / first - 1 / last)))
+    return size
+
+
+def crossings_drawn(mean: float, n: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return clusters, electrons and sum of squares of the sizes of crossings."""
+    clusters = random.poisson(mean, n)
+    sizes, crossing = sizes_drawn(clusters.sum(), random).astype(float), np.repeat(np.arange(n), clusters)
+    return clusters, *(np.bincount(crossing, sizes**power, minlength=n) for power in (1, 2))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("mean", [5.0, 17.0, 60.0])
+@pytest.mark.parametrize("number", [5, 20, 60])
+def test_shares_of_clusters_in_a_number_of_electrons(mean: float, number: int) -> None:
+    """Of drawn crossings with just this number; few clusters are drawn where few are likely, and weighted back."""
+    drawn = min(mean, 0.75 * number)
+    clusters, electrons, squares = crossings_drawn(
+        drawn, min(400_000, round(6e6 / drawn)), np.random.default_rng(round(mean) + number)
+    )
+    here = electrons == number
+    weight = (mean / drawn) ** (clusters[here] - number)
+    share = squares[here] / number**2
+    expected = np.average(share, weights=weight)
+    error = math.sqrt(np.sum((weight * (share - expected)) ** 2)) / weight.sum()
+    assert error < 0.1 * expected
+    shares = cluster_shares("ar-ic4h10-90-10").shares
+    found = [float(shares(mean, np.array([float(number)]), variance)[0]) for variance in (0.0, 0.7)]
+    # 1 %: linear between means.
+    assert_within(found[0], expected, math.hypot(error, 0.0025 * expected), what=f"{number} electrons")
+    of_charge = (expected * number + 0.7) / (number + 0.7)  # E(sum q_i^2)/E(q^2) of independent electrons
+    assert_within(found[1], of_charge, math.hypot(error, 0.0025 * expected), what=f"charge of {number} electrons")
+
+
+@pytest.mark.parametrize("mean", [5.0, 17.0, 60.0])
+def test_numbers_of_electrons_of_equal_parts(mean: float) -> None:
+    _, electrons, _ = crossings_drawn(mean, 100_000, np.random.default_rng(3))
+    electrons = electrons[electrons > 0]
+    below = np.searchsorted(np.sort(electrons), np.arange(500), side="right") / len(electrons)
+    found = cluster_shares("").quantiles(mean)
+    np.testing.assert_allclose(np.interp(found, np.arange(500), below), (np.arange(8) + 0.5) / 8, atol=0.008)
 
 
 def test_sizes_are_those_of_the_table() -> None:

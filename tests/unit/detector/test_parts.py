@@ -14,7 +14,7 @@ from cgemit import Gun, Settings, _core, helix, load, run
 from cgemit.detector import DetectorError, compiled
 from cgemit.detector.core import grid_of, strip_gains, strip_lists
 from cgemit.detector.parts import PLACEMENT, Placed, local_v, seen_by
-from cgemit.reconstruction.cluster import calibrated_clusterer, cluster
+from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.find import truth
 
@@ -302,9 +302,9 @@ def test_gain_in_clusters():
     strips = np.array([middle - 2, middle - 1, middle, middle + 1, middle + 2])
     readout = cg.TigerReadout(estimator="centroid")
     charges = 4 * gains[strips]
-    found = calibrated_clusterer(readout).cluster_with(mapped, digis_of(strips, charges))
-    plain = calibrated_clusterer(readout).cluster_with(DESIGN_MAPS, digis_of(strips, charges))
-    even = calibrated_clusterer(readout).cluster_with(DESIGN_MAPS, digis_of(strips, np.full(5, 4.0)))
+    found = cluster(mapped, digis_of(strips, charges), readout=readout)
+    plain = cluster(DESIGN_MAPS, digis_of(strips, charges), readout=readout)
+    even = cluster(DESIGN_MAPS, digis_of(strips, np.full(5, 4.0)), readout=readout)
     assert found["x"][0] == pytest.approx(even["x"][0], abs=1e-9)
     assert abs(plain["x"][0] - even["x"][0]) > 0.3
 
@@ -335,7 +335,7 @@ def test_bridges(bridge, runs):
     digis = digis_of([9, 11, 15, 17, 18], np.full(5, 10.0))
     found = cluster(holes, digis, cg.ClusterSettings(bridge=bridge))
     assert list(zip(found["first"], found["last"], strict=True)) == runs
-    charge_time = calibrated_clusterer(cg.TigerReadout(missing=0)).cluster_with(holes, digis, bridge=bridge)
+    charge_time = cluster(holes, digis, cg.ClusterSettings(bridge=bridge), readout=cg.TigerReadout(missing=0))
     assert list(zip(charge_time["first"], charge_time["last"], strict=True)) == runs
     apart = cluster(DESIGN_MAPS, digis_of([9, 11], [10.0, 10.0]), cg.ClusterSettings(bridge=bridge))
     assert len(apart) == 2
