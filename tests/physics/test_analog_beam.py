@@ -17,10 +17,10 @@ from cgemit.analysis.widths import measure
 from cgemit.covariance.result import Covariance
 from cgemit.detector.gas import ionization, mean_shift
 from cgemit.detector.readouts import AnalogReadout
-from cgemit.reconstruction.cluster import calibrated_clusterer, clusterer_of
+from cgemit.reconstruction.cluster import cluster, clusterer_of
 from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
-from cgemit.study.readout.calibrate import measurements
+from cgemit.study.readout.errors import measurements
 from cgemit.study.readout.scan import beam_detector, beam_run, beam_views
 from cgemit.tables import Table
 
@@ -30,14 +30,14 @@ FIELD = beam_detector(1.0)
 BEAM = Apv25Readout(gain=39_000.0)
 #: Chosen with its rows at 0 and 20 degrees.
 TUNED = Apv25Readout(gain=54_000.0, jitter=8.5, random_neighbours=True)
-CALIBRATED = [
+WITH_CHARGE = [
     TigerReadout(), TigerReadout(second_pass=True), Apv25Readout(), Apv25Readout(second_pass=True), ProjectionReadout()
 ]  # fmt: skip
 
 
 def centroid_width(digis: Table, run_of: Any, readout: Any) -> float:
     """Core width of the centroid's residual in X, um."""
-    clusters = calibrated_clusterer(replace(readout, estimator="centroid")).cluster_with(run_of.detector, digis)
+    clusters = cluster(run_of.detector, digis, readout=replace(readout, estimator="centroid"))
     sample = measurements(run_of.detector, clusters, run_of.truths)
     return measure(1e3 * sample.residual[sample.view == 0], parameter="X", unit="um").core
 
@@ -73,8 +73,8 @@ def test_density_and_sizes_of_clusters_are_of_one_source() -> None:
 def test_lorentz_shift_before_and_after_the_correction() -> None:
     """1 T, 1.5 kV/cm: 2.20 mm in a plane stack before, and none after."""
     result = beam_run(FIELD, BEAM, 0.0, n=1500, seed=3, particle="mu-", p=1.0, threads=1)
-    raw = calibrated_clusterer(replace(BEAM, estimator="centroid", lorentz=False)).cluster_with(FIELD, result.digis)
-    corrected = calibrated_clusterer(replace(BEAM, estimator="centroid")).cluster_with(FIELD, result.digis)
+    raw = cluster(FIELD, result.digis, readout=replace(BEAM, estimator="centroid", lorentz=False))
+    corrected = cluster(FIELD, result.digis, readout=replace(BEAM, estimator="centroid"))
     across = raw["view"] == 0
     shift = raw["x"][across] - corrected["x"][across]
     np.testing.assert_allclose(shift, mean_shift(FIELD.cgem[0], FIELD.field.bz))
@@ -181,15 +181,15 @@ def as_expected(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("readout", CALIBRATED, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
+@pytest.mark.parametrize("readout", WITH_CHARGE, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
 def test_analytic_errors_are_those_of_tracks(readout: AnalogReadout | ProjectionReadout) -> None:
-    """The covariance takes the typical errors of the calibration."""
+    """The covariance takes the errors that the read-out expects, without events."""
     as_expected(readout, (-0.93, 0.93), 8000)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cos_theta", [-0.8, 0.0, 0.4])
-@pytest.mark.parametrize("readout", CALIBRATED, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
+@pytest.mark.parametrize("readout", WITH_CHARGE, ids=["tiger", "tiger-second", "apv25", "apv25-second", "projection"])
 def test_analytic_errors_at_one_angle(
     readout: AnalogReadout | ProjectionReadout, cos_theta: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,8 +9,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV
-from cgemit.reconstruction.cluster import calibrated_clusterer
-from cgemit.reconstruction.cluster_errors import calibration_of
+from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find.truth import own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import BackgroundSettings
@@ -784,7 +783,7 @@ def test_strips_out_of_time_do_not_move_a_track(layers, margin, of_six):
     columns = {name: np.concatenate([digis[name], noise[name]]) for name in digis}
     order = np.lexsort([columns[name] for name in ("strip", "view", "sheet", "layer", "event")])
     noisy = Table("digis", {name: column[order] for name, column in columns.items()}, **digis.cover)
-    clusters = calibrated_clusterer(tiger).cluster_with(layers, noisy, calibration_of(layers, tiger))
+    clusters = cluster(layers, noisy, readout=tiger)
     share = (sizes(find(layers, clusters)) == 6).any(axis=1).mean()
     assert of_six[0] <= share <= of_six[1]
 

@@ -1,23 +1,21 @@
-"""Steps of the analog read-out one by one, charge induced on neighbours, mistakes and calibrations."""
+"""Steps of the analog read-out one by one, charge induced on neighbours, and mistakes."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.signal import fftconvolve
 from scipy.special import erfc
 
 import cgemit as cg
 from cgemit import (
     Apv25Readout,
     Gun,
-    ProjectionReadout,
     Settings,
     SimulateSettings,
     TigerReadout,
@@ -30,17 +28,7 @@ from cgemit.detector import compiled
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.parts import local_v, strips_of_v
 from cgemit.detector.readouts import APV25, TIGER, Shaper
-from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.cluster_errors import (
-    CHARGES,
-    COS_THETA,
-    SIZES,
-    CalibrationError,
-    calibration_of,
-    key_of,
-    read_calibration,
-)
-from cgemit.reconstruction.clusterers.charge import half_height, leading_edges
+from cgemit.reconstruction.cluster_errors import delays_of
 from cgemit.simulation import digitize
 from cgemit.tables import Table
 from stats import assert_within
@@ -151,7 +139,8 @@ def test_filter_against_a_convolution(shaper: Shaper) -> None:
 def test_delays_of_the_chips() -> None:
     """Time walk of a leading edge at a fixed threshold; half of the largest sample of a slow pulse."""
     assert TIGER.sample_delay == 162.5  # ns: 6.5 cycles of 4 periods of the clock (PARSIFAL)
-    charge, delay = leading_edges(TIGER, 57.0, 2.0)
+    charge, delays = delays_of(TIGER, 57.0, 2.0)
+    delay = delays[0]
     t = np.arange(0, 400, 0.01)
     for i in (3, 30, 60):
         true = charge[i] / TIGER.charge.pulse(np.array([delay[i] + TIGER.sample_delay]), 57.0)[0]
@@ -159,7 +148,43 @@ def test_delays_of_the_chips() -> None:
     assert np.all(np.diff(charge) > 0)
     assert np.all(np.diff(delay) < 0)
     exact = APV25.timing.pulse(t, 57.0)
-    assert half_height(APV25, 57.0)[1][0] == pytest.approx(t[np.flatnonzero(exact > 0.5 * exact.max())[0]], abs=2.0)
+    half = t[np.flatnonzero(exact > 0.5 * exact.max())[0]]
+    assert delays_of(APV25, 57.0, 2.0)[1][0] == pytest.approx(half, abs=2.0)
+
+
+def pulse_of(shaper: Shaper, duration: float, spread: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and amplitudes of a charge of 1 that arrives evenly within a time, each for a current's duration."""
+    step = 0.02  # ns
+    t = np.arange(0, 900, step)
+    found = shaper.response(t)
+    for length in (duration, spread):
+        box = np.full(round(length / step), step / length)
+        found = fftconvolve(found, box)[: len(t)]
+    return t + step, found
+
+
+@pytest.mark.parametrize("spread", [80.0, 160.0])
+def test_delay_of_charge_that_arrives_evenly(spread: float) -> None:
+    """Against convolutions of the response with both boxes: TIGER's by charge, APV25's mean over its clock."""
+    duration, threshold, row = 57.0, 2.0, round(spread / 20)
+    t, edge = pulse_of(TIGER.timing, duration, spread)
+    _, sampled = pulse_of(TIGER.charge, duration, spread)
+    charges, delays = delays_of(TIGER, duration, threshold)
+    rise = slice(0, edge.argmax())
+    for true in (5.0, 12.0, 60.0):
+        crossed = np.interp(threshold / true, edge[rise], t[rise])
+        measured = true * np.interp(crossed + TIGER.sample_delay, t, sampled)
+        found = np.interp(measured, charges, delays[row])
+        assert found == pytest.approx(crossed - spread / 2, abs=0.4)
+        assert abs(np.interp(measured, charges, delays[0]) - found) > 1.0  # a narrow pulse's is another one
+    t, edge = pulse_of(APV25.timing, duration, spread)
+    times = []
+    for phase in np.arange(0.25, APV25.clock, 0.5):
+        at = APV25.clock * np.arange(APV25.samples) - 4 * APV25.clock - phase
+        samples = np.interp(at, t, edge, left=0.0)
+        last = np.flatnonzero(samples[: samples.argmax() + 1] <= samples.max() / 2)[-1]
+        times.append(np.interp(samples.max() / 2, samples[last : last + 2], at[last : last + 2]))
+    assert delays_of(APV25, duration, threshold)[1][row] == pytest.approx(np.mean(times) - spread / 2, abs=0.4)
 
 
 def test_line_fit_against_least_squares() -> None:
@@ -255,52 +280,7 @@ def test_every_wrong_setting_is_listed() -> None:
     assert all(name in str(caught.value) for name in ("gain", "survival", "neighbour", "estimator"))
 
 
-def test_calibrations_of_the_presets() -> None:
-    """Presets have one; another detector or read-out needs its own, and the message says how to make it."""
-    # Over all angles 0.085 to 0.19 mm, with the track's angle, too; strips of 0.4 mm have less charge, and less field
-    # bends less.
-    limits = {
-        "besiii-cgem-design": (0.085, 0.19), "besiii-cgem": (0.085, 0.19), "stcf-like": (0.07, 0.24),
-        "kloe2-like": (0.07, 0.15),
-    }  # fmt: skip
-    for name, (least, most) in limits.items():
-        detector = load(name)
-        layers = len(detector.cgem)
-        projection = calibration_of(detector, ProjectionReadout())
-        assert projection.errors.shape == (3, 2, layers, CHARGES, SIZES)
-        assert projection.about.startswith(f"analog-projection, {name}, 40000 mu-")
-        for readout in (TigerReadout(), Apv25Readout()):
-            found = calibration_of(detector, readout)
-            assert found.errors.shape == (3, 2, layers, CHARGES, SIZES)
-            assert found.about.startswith(f"{readout.name}, {name}, 40000 mu-")
-            over_all = np.average(found.typical_errors[:, 0], axis=-1, weights=np.gradient(COS_THETA))
-            assert np.all((over_all > least) & (over_all < most))
-            assert (over_all[1] < 0.9 * over_all[0]).all()  # the track's angle helps
-            assert (np.ptp(found.typical_errors[:, 0], axis=-1) > 0.2 * over_all).all()
-    tilted = TigerReadout(estimator="centroid")
-    assert key_of(DESIGN, tilted) == key_of(DESIGN, TigerReadout())
-    changed = DESIGN.with_overrides({"cgem.L1.drift_field": "2 kV/cm"})
-    for detector, readout in ((changed, TigerReadout()), (DESIGN, TigerReadout(gain=9_000.0))):
-        with pytest.raises(CalibrationError, match="cgemit readout --readout NAME -d DETECTOR --calibrate"):
-            cluster(detector, run(DESIGN, GUN, 1, readout=readout, until="digitize").digis, readout=readout)
-
-
-def test_a_wrong_calibration_lists_its_problems(tmp_path: Path) -> None:
-    found = calibration_of(DESIGN, TigerReadout())
-    data = json.loads(found.to_json())
-    assert np.allclose(read_calibration(json.dumps(data), "file").errors, found.errors)
-    data["depth"] = data["depth"][:1]
-    data["errors"][0][0][0][0][0] = -1.0
-    with pytest.raises(CalibrationError, match="file: 2 problems") as caught:
-        read_calibration(json.dumps(data), "file")
-    assert "depth: got shape" in str(caught.value)
-    file = tmp_path / "apv.json"
-    file.write_text(calibration_of(DESIGN, Apv25Readout()).to_json())
-    with pytest.raises(CalibrationError, match="got a calibration of apv25"):
-        calibration_of(DESIGN, TigerReadout(calibration=str(file)))
-
-
-def test_a_detector_without_layers_needs_no_calibration():
+def test_a_detector_without_layers() -> None:
     found = run("besiii-idc", Gun("mu-", p=1.0, cos_theta=0.1), 5, seed=1, readout="tiger")
     assert len(found.clusters) == 0
     assert (found.tracks["status"] == 0).all()
@@ -416,23 +396,6 @@ def test_any_chunks_give_the_same_bytes() -> None:
     one, other = digis_of(ON, 60), digis_of(ON, 60, cg.Workers(chunk=7, threads=2))
     for name in one.columns:
         assert one[name].tobytes() == other[name].tobytes(), name
-
-
-@pytest.mark.parametrize("changed", [{"sample_delay": 100.0}, {"charge": TIGER.timing}])
-def test_calibration_belongs_to_the_chip(changed: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> None:
-    before = key_of(DESIGN, TigerReadout())
-    monkeypatch.setattr(TigerReadout, "chip", dataclasses.replace(TIGER, **changed))
-    assert key_of(DESIGN, TigerReadout()) != before
-
-
-def test_calibration_belongs_to_the_setting() -> None:
-    """Without it calibrations stay valid, with it they need to be made."""
-    default = cg.Apv25Readout()
-    on = dataclasses.replace(default, random_neighbours=True)
-    assert key_of(DESIGN_NEIGHBOURS, default) != key_of(DESIGN_NEIGHBOURS, on)
-    assert calibration_of(DESIGN_NEIGHBOURS, default).about.startswith("apv25, besiii-cgem-design")
-    with pytest.raises(CalibrationError, match="cgemit readout --readout NAME"):
-        calibration_of(DESIGN_NEIGHBOURS, on)
 
 
 def test_setting_by_name() -> None:

@@ -1,8 +1,9 @@
-"""Charge profiles integrated over strips, and the command that scans read-outs and makes calibrations."""
+"""Charge profiles integrated over strips, and the command that scans read-outs and fits errors."""
 
 from __future__ import annotations
 
 import csv
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from cgemit import Gun, ProjectionReadout, Workers, _core, load, run
+from cgemit.analysis.widths import measure
 from cgemit.cli.main import main
-from cgemit.reconstruction.cluster_errors import calibration_of
-from cgemit.study.readout.calibrate import measurements
+from cgemit.reconstruction.cluster_errors import ChipErrors, chip_errors
+from cgemit.study.readout.errors import measurements
 
 DESIGN = load("besiii-cgem-design")
 
@@ -49,20 +51,20 @@ def test_strips_hold_the_deposit() -> None:
     assert np.array_equal(again.digis["charge"], result.digis["charge"])
 
 
-def test_the_chain_with_its_calibration() -> None:
-    readout = ProjectionReadout()
+def test_the_chain_with_its_errors() -> None:
     result = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 400, seed=6, readout="analog-projection")
     assert (result.tracks["status"] == 0).mean() > 0.99
     x = result.clusters["err_x"][result.clusters["view"] == 0]
     assert np.median(x) < 0.1 < 0.14  # better than the binary read-out's 0.139 mm
-    assert calibration_of(DESIGN, readout).typical("centroid")[0].max() < 0.1
     sample = measurements(DESIGN, result.clusters, result.truths, lorentz=False)
     assert abs(np.median(sample.residual)) < 0.01
+    pull = sample.residual / sample.error
+    assert measure(pull).core == pytest.approx(1, abs=0.1)
 
 
 @pytest.mark.slow
-def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, file = tmp_path / "scan", tmp_path / "mine.json"
+def test_command_scans_and_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, file = tmp_path / "scan", tmp_path / "mine.toml"
     scan = ["readout", "--readout", "apv25", "--bz", "0", "--angles", "0 deg,30 deg", "-n", "400", "--quiet"]
     assert main([*scan, "--set", "digitize.readout.gain=39000", "-o", str(out)]) == 0
     rows = list(csv.DictReader((out / "readout.csv").read_text().splitlines()))
@@ -72,40 +74,13 @@ def test_command_scans_and_calibrates(tmp_path: Path, capsys: pytest.CaptureFixt
     assert float(rows[1]["efficiency"]) > 0.99
     assert (out / "readout.png").stat().st_size > 10_000
     assert main(["readout", "--readout", "binary", "--bz", "0"]) == 2
-    assert main(["readout", "--calibrate", str(file), "-d", "besiii-idc"]) == 2
-    assert "without CGEM layers" in capsys.readouterr().err
-    assert main(["readout", "--calibrate", str(file)]) == 2
     assert main([*scan, "--bz", "1.5"]) == 2
     assert "expected 0 to 1.2 T" in capsys.readouterr().err
-    calibrate = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4", "-n", "8000"]
-    assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 0
-    assert main([*calibrate, "-d", "besiii-cgem", "--calibrate", str(file), "--quiet"]) == 2
-    printed = capsys.readouterr()
-    assert "expected another file, or --overwrite" in printed.err
-    own = calibration_of(load("besiii-cgem"), ProjectionReadout(sigma=0.4, calibration=str(file)))
-    assert own.typical("centroid")[0].shape == (3, 17)
-    lines = printed.out.splitlines()
-    at = next(i for i, line in enumerate(lines) if line.startswith("errors over all clusters, um"))
-    assert [float(one) for one in lines[at + 1].split()] == [-0.9, -0.58, 0.0, 0.58, 0.9]
-    for view, errors in zip("XV", own.typical("centroid"), strict=True):
-        for number, layer in enumerate(errors):
-            label, name, *shown = lines[at + 2 + 3 * "XV".index(view) + number].split()
-            assert (label, name) == (f"L{number + 1}", view)
-            assert [float(one) for one in shown] == [float(f"{1e3 * one:.1f}") for one in layer[::4]]
-    run_it = [
-        "simulate",
-        "-d",
-        "besiii-cgem",
-        "--readout",
-        "analog-projection",
-        "--p",
-        "1",
-        "--cos-theta",
-        "0",
-        "-n",
-        "5",
-    ]
-    changed = ["--set", "digitize.readout.sigma=0.4"]
-    assert main([*run_it, *changed, "-o", str(tmp_path / "a"), "--quiet"]) == 2
-    changed += ["--set", f"digitize.readout.calibration={file}"]
-    assert main([*run_it, *changed, "-o", str(tmp_path / "b"), "--quiet"]) == 0
+    fit = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4", "-n", "200"]
+    assert main([*fit, "--fit", str(file), "--quiet"]) == 0
+    assert main([*fit, "--fit", str(file), "--quiet"]) == 2
+    assert "expected another file, or --overwrite" in capsys.readouterr().err
+    found = ChipErrors(**tomllib.loads(file.read_text())["analog-projection"])
+    own = chip_errors("analog-projection")
+    assert found.cut == pytest.approx(own.cut, rel=0.5)
+    assert found.span == own.span == 0.0
