@@ -206,6 +206,7 @@ def test_analytic_errors_at_one_angle(
 def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     """Errors hold for little and much charge and up to six strips; X clusters of more are those of delta electrons.
 
+    One set of factors serves all charges and sizes: 6 % for all clusters, 15 % for each range.
     These, 3 % of all, have a bias and no Gaussian core: their errors must be of the right order.
     """
     readout = TigerReadout(second_pass=second_pass)
@@ -217,10 +218,11 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     charge, size = clusters["charge"][own], clusters["size"][own]
     for view in (0, 1):
         mine = clusters["view"][own] == view
+        assert measure(pull[mine]).core == pytest.approx(1, abs=0.06), view
         for low, high in itertools.pairwise(np.quantile(charge[mine], (0, 0.1, 0.5, 0.9, 1))):
             here = mine & (charge >= low) & (charge <= high)
-            assert measure(pull[here]).core == pytest.approx(1, abs=0.1), (view, low, high)
+            assert measure(pull[here]).core == pytest.approx(1, abs=0.15), (view, low, high)
         for low, high in ((1, 3), (4, 4), (5, 6)):
             here = mine & (size >= low) & (size <= high)
-            assert measure(pull[here]).core == pytest.approx(1, abs=0.1), (view, low, high)
+            assert measure(pull[here]).core == pytest.approx(1, abs=0.15), (view, low, high)
         assert 0.6 < np.quantile(np.abs(pull[mine & (size > 6)]), 0.683) < 1.5

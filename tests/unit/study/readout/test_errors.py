@@ -1,0 +1,217 @@
+"""Factors of a chip in the errors of its clusters: designs, terms, fits and pulls."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.analysis.widths import measure
+from cgemit.detector.readouts import ChargeReadout
+from cgemit.reconstruction.cluster import charge_clusterer, cluster
+from cgemit.reconstruction.cluster_errors import ChipErrors, chip_errors, error_inputs
+from cgemit.study.readout import errors
+from cgemit.study.readout.errors import (
+    Terms,
+    as_toml,
+    design,
+    fit_errors,
+    fitted_factors,
+    fitted_heights,
+    measurements,
+    muons,
+    pulls,
+    terms,
+    true_directions,
+    with_estimator,
+)
+
+TIGER, APV25 = cg.TigerReadout(), cg.Apv25Readout()
+DESIGN = cg.load("besiii-cgem-design")
+HEIGHTS = ("height", "height_per_span", "height_by_threshold")
+FACTORS = ("ionization", "cut", "diffusion", "span", "time", "wide", "line")
+
+
+def test_designs_are_different_and_stay() -> None:
+    """Each number has its own strips, gaps, field, gain and threshold, and always the same."""
+    drawn = [design(TIGER, number) for number in range(12)]
+    again = design(TIGER, 7)
+    assert again.detector.cgem == drawn[7].detector.cgem
+    assert again.readout == drawn[7].readout
+    layers = [layer for one in drawn for layer in one.detector.cgem]
+    for values, low, high in (
+        ([layer.pitch_x for layer in layers], 0.3, 1.2), ([layer.drift_gap for layer in layers], 3, 8),
+        ([np.log2(one.readout.gain / TIGER.gain) for one in drawn], -1, 1),
+        ([np.log2(one.readout.threshold_x / TIGER.threshold_x) for one in drawn], -1, 1),
+        ([one.detector.field.bz for one in drawn], 0, 1.2),
+    ):  # fmt: skip
+        assert low <= min(values) < low + 0.3 * (high - low)
+        assert high >= max(values) > high - 0.3 * (high - low)
+        assert len(np.unique(values)) > 0.8 * len(values)
+
+
+def test_muons_are_displaced_on_demand() -> None:
+    """Their lines pass the beam line at distances up to the given one, in both senses."""
+    for displaced in (0.0, 50.0):
+        particles = muons(2000, 3, displaced)
+        pt = np.hypot(particles["px"], particles["py"])
+        distance = (particles["x"] * particles["py"] - particles["y"] * particles["px"]) / pt
+        assert np.abs(distance).max() <= displaced + 1e-9
+        assert np.ptp(distance) >= 1.95 * displaced
+        p = np.hypot(pt, particles["pz"])
+        assert np.ptp(np.abs(particles["pz"] / p)) > 0.85
+        assert p.min() < 0.35
+        assert p.max() > 9
+        assert set(particles["pdg"]) == {-13, 13}
+
+
+def drawn(heights: np.ndarray, factors: dict[str, float], n: int = 40_000) -> Terms:
+    """Return clusters whose residuals have a mean and a variance of these factors, and a tail."""
+    random = np.random.default_rng(6)
+    slope = random.uniform(-1.5, 1.5, n)
+    span = 5 / np.sqrt(1 + 4 * slope**2)
+    moved = slope[:, None] * np.column_stack([np.ones(n), span, span * random.uniform(0.1, 1.5, n)])
+    variances = {name: random.gamma(0.5, 0.02, n) for name in factors}
+    fixed = random.uniform(0.001, 0.003, n)
+    sigma = np.sqrt(fixed + sum(factor * variances[name] for name, factor in factors.items()))
+    tail = np.where(random.random(n) < 0.05, 4.0, 1.0)
+    return Terms(sigma * tail * random.standard_normal(n) - moved @ heights, moved, fixed, variances)
+
+
+def test_heights_are_found() -> None:
+    """In spite of tails, and of residuals with unequal errors."""
+    true = np.array([-0.05, 0.08, -0.14])
+    assert fitted_heights(drawn(true, {"wide": 0.4})) == pytest.approx(true, abs=0.012)
+    assert fitted_heights(drawn(0 * true, {"wide": 0.4})) == pytest.approx(0 * true, abs=0.012)
+
+
+def test_factors_are_found() -> None:
+    """Of a sample of the model, whether or not some are given; with a wrong one given, others differ."""
+    true = {"diffusion": 1.2, "span": 0.3, "wide": 0.6}
+    sample = drawn(np.zeros(3), true)
+    assert fitted_factors(sample, tuple(true), {}) == pytest.approx(true, rel=0.08)
+    free = fitted_factors(sample, ("diffusion", "wide"), {"span": 0.3})
+    assert free == pytest.approx({"diffusion": 1.2, "wide": 0.6}, rel=0.08)
+    wrong = fitted_factors(sample, ("diffusion", "wide"), {"span": 3.0})
+    assert wrong["diffusion"] < 0.7 * true["diffusion"]
+
+
+@pytest.mark.parametrize(
+    ("estimator", "of_track", "of"),
+    [
+        ("merged", True, ("diffusion", "span", "time", "wide", "cut")),
+        ("centroid", False, ("ionization", "cut", "diffusion", "wide")),
+    ],
+)
+def test_terms_add_up(estimator: str, of_track: bool, of: tuple[str, ...]) -> None:
+    """With the factors of the chip they make up the errors and residuals of its clusters."""
+    at = design(TIGER, 3)
+    readout = with_estimator(at.readout, estimator)
+    result = cg.run(at.detector, muons(150, 5, 50.0), seed=5, readout=readout, until="digitize")
+    factors = chip_errors("tiger")
+    sample = terms(at.detector, readout, result.digis, result.truths, of_track=of_track, heights=factors)
+    clusters = cluster(at.detector, result.digis, readout=readout)
+    if of_track:
+        directions = true_directions(at.detector, clusters, result.truths)
+        clusters = cluster(at.detector, result.digis, readout=readout, directions=directions)
+    own = measurements(at.detector, clusters, result.truths)
+    order = np.argsort(errors._keys(own))
+    variance = sample.fixed + sum(getattr(factors, name) * sample.variances[name] for name in FACTORS)
+    # Without a track, the factors decide at times which pair gives the direction.
+    least = 1.0 if of_track else 0.98
+    assert np.mean(np.isclose(variance, own.error[order] ** 2, rtol=1e-9)) >= least
+    assert np.mean(np.isclose(sample.residual, own.residual[order], rtol=0, atol=1e-9)) >= least
+    assert {name for name in FACTORS if np.mean(sample.variances[name] > 1e-9) > 0.02} == set(of)
+    plain = terms(at.detector, readout, result.digis, result.truths, of_track=of_track, heights=None)
+    moved = plain.residual + plain.heights @ [getattr(factors, name) for name in HEIGHTS]
+    # Beyond the gap the Lorentz shift stays that of its border.
+    assert np.quantile(np.abs(moved - sample.residual), 0.95) < 5e-3
+    if of_track:
+        assert np.quantile(np.abs(plain.residual - sample.residual), 0.5) > 0.01
+
+
+@pytest.mark.parametrize("readout", [TIGER, APV25], ids=["tiger", "apv25"])
+def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Core of all within 8 % and no bias; errors that are a quarter larger would not pass."""
+    found = pulls(readout, estimator="merged", of_track=True, designs=8, n=1000)
+    assert found[0].quantity == "all"
+    assert found[0].clusters > 40_000
+    assert found[0].core == pytest.approx(1, abs=0.08)
+    assert abs(found[0].mean) < 0.15
+    assert found[0].beyond < 0.04
+    assert {one.quantity for one in found} == {"all", "slope", "strips", "charge", "view"}
+    for name in ("slope", "charge", "view"):
+        assert sum(one.clusters for one in found if one.quantity == name) > 0.98 * found[0].clusters
+
+    def too_large(*args: object, **how: object) -> errors.Measurements:
+        sample = measurements(*args, **how)  # type: ignore[arg-type]
+        return sample._replace(error=1.25 * sample.error)
+
+    monkeypatch.setattr(errors, "measurements", too_large)
+    wrong = pulls(readout, estimator="merged", of_track=True, designs=8, n=1000)
+    assert abs(wrong[0].core - 1) > 0.08
+    assert wrong[0].core == pytest.approx(found[0].core / 1.25, rel=0.01)
+
+
+def test_pulls_with_other_factors() -> None:
+    """Factors that are given count instead of the chip's own."""
+    large = dataclasses.replace(chip_errors("tiger"), diffusion=10.0)
+    own, other = (pulls(TIGER, designs=2, n=300, errors=one)[0] for one in (None, large))
+    assert other.clusters == own.clusters
+    assert other.core < 0.7 * own.core
+
+
+@pytest.mark.slow
+def test_a_fit_finds_the_factors_of_the_package() -> None:
+    """With fewer designs, roughly; in the designs of the other half, the errors hold."""
+    progress: list[float] = []
+    found = fit_errors(TIGER, designs=8, n=800, progress=progress.append)
+    own = chip_errors("tiger")
+    for name in ("ionization", "cut", "diffusion", "time", "wide"):
+        assert getattr(found, name) == pytest.approx(getattr(own, name), rel=0.5), name
+    assert found.height_per_span == pytest.approx(own.height_per_span, abs=0.05)
+    assert progress[-1] == 1.0
+    assert progress == sorted(progress)
+    assert pulls(TIGER, errors=found, designs=8, n=1000)[0].core == pytest.approx(1, abs=0.1)
+
+
+def test_a_file_of_factors() -> None:
+    """It has what has been found, to three digits, by the name of the read-out."""
+    found = dataclasses.replace(chip_errors("apv25"), diffusion=0.123456)
+    table = tomllib.loads(as_toml("mine", found))["mine"]
+    assert ChipErrors(**table) == dataclasses.replace(found, diffusion=0.123)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("particle", ["mu-", "mu+"])
+@pytest.mark.parametrize("p", [0.25, 0.6])
+def test_known_tracks_of_low_momentum(particle: str, p: float) -> None:
+    """Clusters that know their track are right for both charges and at large curvature."""
+    layers = dataclasses.replace(DESIGN, drift_chamber=None)
+    gun = cg.Gun(particle, p=p, cos_theta=(-0.9, 0.9))
+    result = cg.run(layers, gun, 3000, 5, readout=TIGER, until="cluster")
+    directions = true_directions(layers, result.clusters, result.truths)
+    clusters = cluster(layers, result.digis, readout=TIGER, directions=directions)
+    sample = measurements(layers, clusters, result.truths)
+    for view, layer in np.ndindex(2, 3):
+        here = (sample.view == view) & (sample.layer == layer)
+        pull = measure(sample.residual[here] / sample.error[here])
+        assert abs(pull.core - 1) < 0.08 + 2 * pull.core_error, (view, layer)
+        assert abs(pull.core_mean) < 0.2 + 2 * pull.core_mean_error, (view, layer)
+
+
+def test_the_core_takes_other_factors() -> None:
+    """A term without its factor is gone from the errors of clusters: none of the seven is left out."""
+    at = design(TIGER, 1)
+    digis = cg.run(at.detector, muons(60, 5, 0.0), seed=5, readout=at.readout, until="digitize").digis
+    inputs = error_inputs(at.detector, at.readout)
+    for estimator, names in (("merged", FACTORS[1:6]), ("micro-tpc", FACTORS[6:]), ("centroid", FACTORS[:1])):
+        clusterer = charge_clusterer(with_estimator(at.readout, estimator))
+        whole = clusterer.columns(at.detector, digis, inputs)["err_x"]
+        for name in names:
+            without = inputs._replace(chip=inputs.chip | {name: 0.0})
+            part = clusterer.columns(at.detector, digis, without)["err_x"]
+            assert np.nanmax(whole - part) > 1e-4, name
