@@ -57,7 +57,9 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
     """Return the covariances in variants and their compiled detectors."""
     if not variants:
         return []
-    tracks, models = base._tracks, [with_errors_of(base._tracks.model, base.readout, one) for one, _ in variants]
+    tracks = base._tracks
+    smooth = [_with_stereo(one, base.detector) for one, _ in variants]  # as the cores are
+    models = [with_errors_of(tracks.model, base.readout, one) for one in smooth]
     same = [number for number, model in enumerate(models) if model == tracks.model]
     found: dict[int, Floats] = {}
     if same:
@@ -89,7 +91,7 @@ def _with_stereo(variant: Detector, base: Detector) -> Detector:
     for layer, old in zip(variant.cgem, base.cgem, strict=True):
         derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
         if derived:
-            angle = abs(old.stereo) + _diagonal(layer) - _diagonal(old)
+            angle = abs(old.stereo) + (_diagonal(layer) - _diagonal(old))
             # The hits are given: one V strip fits at any angle.
             layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)
         layers.append(layer)
