@@ -445,13 +445,28 @@ def test_the_field_scales_the_momentum_resolution() -> None:
 
 
 @pytest.mark.parametrize("readout", ["tiger", "apv25", "analog-projection"])
-def test_derivatives_by_numbers_that_calibrated_errors_do_not_follow_are_refused(readout: str) -> None:
-    how: dict[str, object] = {"readout": readout, "samples": 2}
-    expected = f"sensitivity: got read-out '{readout}', .* do not follow cgem.L1.pitch_v; expected 'binary' or"
-    with pytest.raises(ValueError, match=expected):
-        cg.sensitivity(DESIGN, "mu-", 1.0, keys=["drift_chamber.sigma", "cgem.L1.pitch_v"], **how)
-    found = cg.sensitivity(DESIGN, "mu-", 1.0, keys=["drift_chamber.sigma"], quantities=("p",), **how)
-    assert float(found.of("drift_chamber.sigma", "p")) > 0.1
+def test_derivatives_with_analog_readouts_are_differences(readout: str) -> None:
+    """Errors of clusters follow pitch and gap. Variants keep the stereo angle, which else jumps with whole strips."""
+    how: dict[str, Any] = {"readout": readout, "cos_theta": 0.0}
+    angles = {f"cgem.{one.label}.stereo": f"{one.stereo!r} rad" for one in DESIGN.cgem}
+    keys = ("cgem.*.pitch_x", "cgem.*.drift_gap")
+    found = cg.sensitivity(DESIGN, keys=keys, **how)
+    for key in keys:
+        up, down = (cg.analytic(DESIGN.with_overrides({key: f"x{by}"} | angles), **how) for by in (1.01, 0.99))
+        for quantity in ("dr", "dz"):
+            slope = math.log(up.sigma(quantity) / down.sigma(quantity)) / math.log(1.01 / 0.99)
+            assert float(found.of(key, quantity)) == pytest.approx(slope, rel=0.02, abs=2e-4), (key, quantity)
+
+
+def test_finer_strips_measure_better_with_charge_and_time() -> None:
+    pitches = ("0.5 mm", "0.65 mm", "0.8 mm")
+    found = [
+        cg.analytic(DESIGN.with_overrides({"cgem.*.pitch_x": one, "cgem.*.pitch_v": one}), readout="tiger")
+        for one in pitches
+    ]
+    for quantity in ("dr", "dz"):
+        fine, middle, coarse = (float(one.sigma(quantity)) for one in found)
+        assert fine < middle < coarse
 
 
 def test_small_effects_are_counted_not_printed() -> None:
