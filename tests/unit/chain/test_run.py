@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
-import json
-import os
 import pickle
-import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -26,7 +22,6 @@ from cgemit.detector import load, write_field_map
 from cgemit.detector.readouts import READOUTS
 from cgemit.particles.gun import Gun
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.cluster_errors import CalibrationError, calibration_of, key_of, read_calibration
 from cgemit.reconstruction.fit import FitSettings, FitStatus
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
@@ -214,16 +209,11 @@ def test_truth_is_that_of_the_simulated_field() -> None:
     assert abs(truth[0]) > 10
 
 
-def test_clusters_of_both_passes_assume_the_field_of_the_fit(tmp_path: Path) -> None:
+def test_clusters_of_both_passes_assume_the_field_of_the_fit() -> None:
     """With a field of the fit that is 10 % off, the Lorentz shift is 0.2 mm off, alike before and after the fit."""
     design, gun = load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
     other = design.with_overrides({"field.bz": "-0.9 T"})
-    with pytest.raises(CalibrationError, match="got no calibration for this detector, field and read-out"):
-        run(design, gun, 1, readout="tiger", fit_detector=other)
-    plain = cg.TigerReadout()
-    own = dataclasses.replace(calibration_of(design, plain), key=key_of(other, plain))
-    (tmp_path / "other.json").write_text(own.to_json())
-    readout = cg.TigerReadout(second_pass=True, calibration=str(tmp_path / "other.json"))
+    readout = cg.TigerReadout(second_pass=True)
     result = run(design, gun, 300, seed=3, readout=readout, fit_detector=other)
     first, second = result.clusters, result.fitted_hits[0]
     assert first == cg.cluster(other, result.digis, readout=readout)
@@ -360,71 +350,6 @@ def test_the_tables_that_a_run_makes(until):
     settings = Settings(fit=cg.FitSettings(residuals=True))
     result = cg.run("besiii-idc", GUN_REFUSALS, n=2, until=until, settings=settings)
     assert tuple(result.tables) == tuple(name for name in TABLES if name in tables_made(until, settings))
-
-
-def test_a_missing_calibration_is_said_first(nothing_runs):
-    changed = cg.load("besiii-cgem").with_overrides({"cgem.L1.pitch_x": "500 um"})
-    with pytest.raises(CalibrationError, match="got no calibration for this detector"):
-        cg.run(changed, GUN_REFUSALS, n=10, readout="tiger")
-    with pytest.raises(AssertionError, match="a chunk was begun"):  # not needed without clusters
-        cg.run(changed, GUN_REFUSALS, n=10, readout="tiger", until="digitize")
-
-
-@pytest.mark.parametrize("name", ["/dev/zero", "pipe", ".", "none", "x" * 5000])
-def test_a_calibration_is_read_from_files_only(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    os.mkfifo("pipe")
-    start = time.monotonic()
-    with pytest.raises(CalibrationError, match=r"digitize.readout.calibration: 1 problem\n  got .*expected a file"):
-        calibration_of(cg.load("besiii-cgem"), cg.TigerReadout(calibration=name))
-    assert time.monotonic() - start < 5
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("errors", 1e9, "errors: got 1e"), ("errors", 0.0, "errors: got 0, expected numbers from 0.0001 to 100 mm"),
-        ("depth", -1e4, "depth: got -10000"), ("height", float("nan"), "height: got nan"),
-        ("shares", 1.1, "shares: got 1.1, expected numbers from 0 to 1"), ("pairs", 1e5, "pairs: got 100000"),
-        ("edges", -1.0, "edges: got -1"), ("edges", 1e5, "edges: got charges that fall"),
-        ("distance_edges", 1e3, "distance_edges: got distances that fall"),
-        ("charge_factors", 0.0, "charge_factors: got 0, expected numbers from 0.001 to 10000$"),
-        ("typical_errors", "wide", "expected a calibration file"), ("depth", 10**400, "expected a calibration file"),
-    ],
-)  # fmt: skip
-def test_impossible_values_of_a_calibration(name, value, message):
-    data = json.loads(calibration_of(cg.load("besiii-cgem"), cg.TigerReadout()).to_json())
-    part = data[name]
-    while isinstance(part[0], list):
-        part = part[0]
-    part[0] = value
-    with pytest.raises(CalibrationError, match=message):
-        read_calibration(json.dumps(data), "file")
-
-
-def test_a_calibration_of_another_version():
-    """Its arrays have other shapes: what to do is said."""
-    data = json.loads(calibration_of(cg.load("besiii-cgem"), cg.TigerReadout()).to_json())
-    data["typical_errors"] = np.array(data["typical_errors"])[..., 0].tolist()
-    shapes = r"got shape \(2, 3, 2, 3\), expected \(2, 3, 2, 3, 17\)"
-    message = rf"typical_errors: {shapes}; made by another version\? Make it again: cgemit"
-    with pytest.raises(CalibrationError, match=message):
-        read_calibration(json.dumps(data), "file")
-
-
-def test_a_calibration_of_other_layers(tmp_path):
-    """One that claims the right key, but holds two of three layers."""
-    detector, readout = cg.load("besiii-cgem"), cg.TigerReadout()
-    data = json.loads(calibration_of(detector, readout).to_json())
-    axis = {"typical_errors": 3, "errors": 2, "slope_errors": 2, "charge_factors": 2, "distance_edges": 2,
-            "distance_factors": 3, "direction_depths": 3, "direction_factors": 3, "correlations": 2,
-            "pairs": 0}  # fmt: skip
-    for name in set(data) - {"about", "key"}:
-        data[name] = np.take(data[name], [0, 1], axis=axis.get(name, 1)).tolist()
-    file = tmp_path / "two.json"
-    file.write_text(json.dumps(data))
-    with pytest.raises(CalibrationError, match="got 2 layers, expected 3"):
-        calibration_of(detector, cg.TigerReadout(calibration=str(file)))
 
 
 def test_chunks_that_do_not_fit_into_memory(tmp_path, monkeypatch):

@@ -138,8 +138,6 @@ def test_failures_of_the_run_have_exit_code_3(monkeypatch, capsys, tmp_path):
         ["refit", "-d", "besiii-cgem", "absent.rec"],
         ["settings", "--settings", "absent.toml"],
         ["readout", "--settings", "absent.toml"],
-        ["readout", "-d", "absent.toml", "--calibrate", "never.json"],
-        [*SIMULATE, "--set", "digitize.readout.calibration=absent.json", "--readout", "tiger", "-o", "never"],
     ],
 )
 def test_missing_files_are_named_in_words(arguments, capsys, tmp_path, monkeypatch):
