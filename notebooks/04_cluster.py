@@ -41,11 +41,12 @@ result = cg.run(detector, muon, n=2000, seed=2, readout=tiger)
 cg.draw.draw_cluster(result, event=9)
 
 # %% [markdown]
-# ## Charge centroid, micro-TPC, and their mean
+# ## Charge centroid, micro-TPC, and the line through the charge
 #
 # The centroid is the mean of the charge. Angle of incidence and Lorentz angle spread the charge, and then the centroid
 # moves with every fluctuation of the ionization. The micro-TPC fit turns times into heights in the gap and fits a line.
-# The mean of both has the weights that a calibration found best.
+# `merged` draws a line through centroid and mean height of the charge, with the slope of a straight track from the beam
+# line, which the strips correct.
 
 
 # %%
@@ -71,8 +72,8 @@ axes.grid(alpha=0.3)
 # %% [markdown]
 # ## The angle of the track
 #
-# After a first fit the angle of each track is known. A second pass makes its clusters again: each strip is moved along
-# the track to mid-gap with its own height. Tracks are then fitted again.
+# After a first fit the angle of each track is known. A second pass makes its clusters again: the line through the
+# charge has the slope of the track. Tracks are then fitted again.
 
 # %%
 second = cg.run(detector, muon, n=2000, seed=2, readout=replace(tiger, second_pass=True))
@@ -83,8 +84,8 @@ for name, run in (("first pass", result), ("second pass", second)):
 # %% [markdown]
 # ## Errors
 #
-# Errors come from a calibration by view, layer, charge and number of strips. Residuals over errors, the pulls, show
-# whether they hold: their core should have unit width. The tails are delta electrons.
+# Errors come from a model of gas, strips and chip, with the charge and the width of each cluster. Residuals over
+# errors, the pulls, show whether they hold: their core should have unit width. The tails are delta electrons.
 
 # %%
 fig, axes = plt.subplots(figsize=(6, 3.4))

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Position resolution, number of strips and efficiency of a read-out in both views, in one layer of 2 m radius with the
-gas, gaps and strips of besiii-cgem-design, for the charge centroid, the micro-TPC fit, their weighted mean, and with
-the angle of the track. --scan selects what varies: the angle of incidence, the magnetic field (T), the drift field
+gas, gaps and strips of besiii-cgem-design, for the charge centroid, the micro-TPC fit, the line through the charge, and
+with the angle of the track. --scan selects what varies: the angle of incidence, the magnetic field (T), the drift field
 (kV/cm), the gain or the threshold (fC). Angles count from the radius, in the plane across the beam line; electrons are
 bent towards positive angles if the field is positive.
 

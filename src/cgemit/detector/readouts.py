@@ -301,14 +301,15 @@ class AnalogReadout(Readout):
     missing : int
         Strips that may be missing within a cluster.
     edge : float
-        Outermost strips with a smaller share of their neighbour's charge do not enter line fits.
+        Outermost strips with a smaller share of their neighbour's charge do not enter line fits of ``"micro-tpc"``.
     valley : float
         A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
     time_margin : float
         ns; strips whose drift time is below 0 or above that of the drift gap by more than this are left out.
     estimator : str
-        Position of a cluster: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift gap (clusters
-        without one have their centroid), or ``"merged"``, the mean of both with the weights of their errors.
+        Position of a cluster without track: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift
+        gap (clusters without one have their centroid), or ``"merged"``, a line through centroid and mean height of the
+        charge, with the slope of a straight track from the beam line and of the strips.
     second_pass : bool
         Whether clusters on fitted tracks are made again with the angle of the track, and the tracks are fitted again.
     saturation : float
