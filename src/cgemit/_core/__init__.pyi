@@ -2,7 +2,7 @@
 # Arrays go in C-contiguous and are converted to the dtype named here; they come out as new arrays that own the
 # memory of the core. Dicts hold one array per column of the tables in docs/data_model.md.
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, TypeAlias, TypedDict
 
 import numpy as np
@@ -329,7 +329,7 @@ def find_charge_time_clusters(
     *,
     timing: _Columns,
     delays: _Columns,
-    chip: Mapping[str, float],
+    chip: dict[str, float],
     planes: _Columns,
     shares: _Columns,
     estimator: str,
@@ -346,7 +346,7 @@ def find_charge_time_clusters(
 ) -> dict[str, _Array]: ...
 def charge_variances(
     *,
-    chip: Mapping[str, float],
+    chip: dict[str, float],
     planes: _Columns,
     shares: _Columns,
     estimator: str,
