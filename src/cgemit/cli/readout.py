@@ -32,7 +32,7 @@ examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
   cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
   cgemit readout --readout tiger --scan drift_field --values 1:3:5 -o fields
-  cgemit readout --readout tiger --set digitize.readout.noise=0.8 --fit my-tiger.toml"""
+  cgemit readout --readout apv25 --fit my-apv25.toml"""
 
 _ANGLES = "0 deg:40 deg:9"
 _GRAZING = 80  # deg, beyond which a beam does not cross the layer
