@@ -23,7 +23,7 @@ from cgemit.base.version import PHYSICS
 
 FOLDER = Path(__file__).parent / "numbers"
 #: Hash of the files for the present physics version, and for those that were released.
-VERSIONS = {16: "f66895c9d808ff8f"}
+VERSIONS = {17: "a6806ca85e625acb"}
 DESIGN = "besiii-cgem-design"
 MUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
 DIMUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
