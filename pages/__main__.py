@@ -27,6 +27,7 @@ from pages import (
     performance,
     pictures,
     readme,
+    readout,
     robustness,
     settings,
 )
@@ -47,6 +48,7 @@ PAGES: dict[str, Page] = {
         mismatch.PAGE,
         alignment.PAGE,
         background.PAGE,
+        readout.PAGE,
         settings.PAGE,
         data_model.PAGE,
         pictures.CONVENTIONS,

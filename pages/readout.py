@@ -1,0 +1,354 @@
+"""docs/methods/readout.md: what charge and time of the strips measure, and which chip pays at which pitch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+import cgemit as cg
+from cgemit.analysis.resolutions import pulls as track_pulls
+from cgemit.analysis.widths import measure
+from cgemit.detector.readouts import AnalogReadout, Readout
+from cgemit.reconstruction.cluster_errors import chip_errors
+from cgemit.reconstruction.find import truth
+from cgemit.study.readout import errors, scan
+from pages.page import Found, Numbers, Page, share_of, table
+
+DETECTOR, P, COS_THETA, SEED = "besiii-cgem-design", 1.0, (-0.93, 0.93), 77
+TRACKS, BEAM, GHOSTS = 12_000, 4000, 1000
+DESIGNS, IN_EACH = 16, 3000  # muons
+READOUTS: dict[str, Readout] = {
+    "`binary`": cg.BinaryReadout(), "`tiger`": cg.TigerReadout(),
+    "`tiger`, second pass": cg.TigerReadout(second_pass=True),
+    "`apv25`": cg.Apv25Readout(), "`apv25`, second pass": cg.Apv25Readout(second_pass=True),
+    "`analog-projection`": cg.ProjectionReadout(),
+}  # fmt: skip
+#: Test beam as shipped with PARSIFAL: angle -> strips, centroid, micro-TPC, merged (um).
+PUBLISHED = {
+    0: (4.67, 50, 350, 50), 5: (4.75, 114, 330, 110), 10: (5.20, 173, 155, 125), 15: (5.85, 228, 130, 125),
+    20: (6.54, 280, 110, 105), 30: (7.90, 380, 110, 105), 40: (9.00, 460, 120, 115),
+}  # fmt: skip
+#: Gain alone, and what was chosen with the rows at 0 and 20 degrees.
+BEAMS = {
+    "gain": cg.Apv25Readout(gain=39_000.0),
+    "tuned": cg.Apv25Readout(gain=54_000.0, jitter=8.5, random_neighbours=True),
+}
+PITCHES = (300, 400, 500, 650, 800, 1000, 1200)  # um
+SIMULATED = (300, 650, 1200)  # um
+CHIPS = {"binary": "#555555", "tiger": "#0072B2", "apv25": "#D55E00"}
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Core widths of clusters (um) and tracks (um, mm, MeV/c), expected ones, and core widths of pulls."""
+
+    readout: str
+    x: float
+    v: float
+    pull_x: float
+    pull_v: float
+    d_rho: float
+    d_z: float
+    p: float
+    expected_d_rho: float
+    expected_d_z: float
+    expected_p: float
+    pull_dr: float
+    pull_phi0: float
+    pull_kappa: float
+    pull_dz: float
+    pull_tanl: float
+    pull_p: float
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Pulls of the clusters of a range of a quantity: core width, median with the sign of the slope, % beyond 3."""
+
+    readout: str
+    quantity: str
+    low: float
+    high: float
+    clusters: int
+    core: float
+    median: float
+    beyond: float
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Number of strips, mean charge (fC) and core widths in X (um) at an angle (deg)."""
+
+    case: str
+    angle: int
+    strips: float
+    charge: float
+    centroid: float
+    line: float
+    merged: float
+    track: float
+
+
+@dataclass(frozen=True)
+class Ghosts:
+    """Wrong pairs, %, by what selects them."""
+
+    readout: str
+    tracks: int
+    crossings: float
+    geometry: float
+    geometry_error: float
+    charge_time: float
+    charge_time_error: float
+
+
+@dataclass(frozen=True)
+class Pitch:
+    """Expected widths (um, mm) at a pitch (um), and simulated ones."""
+
+    readout: str
+    pitch: int
+    channels: int
+    d_rho: float
+    d_z: float
+    simulated_d_rho: float | None
+    simulated_d_z: float | None
+
+
+def simulated(detector: cg.Detector, readout: Readout | str, events: int) -> cg.Result:
+    """Return a run of muons of 1 GeV/c."""
+    return cg.run(detector, cg.Gun("mu-", p=P, cos_theta=COS_THETA), events, SEED, readout=readout)
+
+
+def expected(detector: cg.Detector, readout: Readout | str) -> dict[str, float]:
+    """Return core widths of the same muons without events."""
+    found = cg.analytic(detector, "mu-", p=P, cos_theta=COS_THETA, readout=readout)
+    return {name: float(found.sigma(name).item()) for name in ("d_rho", "d_z", "p")}
+
+
+def widths(result: cg.Result) -> dict[str, float]:
+    """Return core widths of the residuals of tracks."""
+    return {name: float(cg.resolution(result, name).core) for name in ("d_rho", "d_z", "p")}
+
+
+def cores(result: cg.Result, clusters: cg.Table) -> dict[str, float]:
+    """Return core widths of residuals (um) and pulls of the muons' clusters."""
+    own = truth.own_clusters(result.detector, result.clusters, result.truths)
+    residual = 1000 * truth.residuals(result.detector, clusters, result.truths, own)
+    view, found = clusters["view"][own], {}
+    for number, name in enumerate("xv"):
+        here, error = view == number, 1000 * clusters[f"err_{name}"][own]
+        found[name] = float(measure(residual[here], parameter=name, unit="um").core)
+        found[f"pull_{name}"] = float(measure((residual / error)[here], parameter=name, unit="").core)
+    return found
+
+
+def measure_tracks(share: float) -> Numbers:
+    """Simulate muons with every read-out."""
+    detector, events, rows = cg.load(DETECTOR), share_of(TRACKS, share, 500), []
+    for name, readout in READOUTS.items():
+        result = simulated(detector, readout, events)
+        second = isinstance(readout, AnalogReadout) and readout.second_pass
+        rows.append(
+            Tracks(
+                name,
+                **cores(result, result.refined_clusters if second else result.clusters),
+                **widths(result),
+                **{f"expected_{key}": value for key, value in expected(detector, readout).items()},
+                **{f"pull_{one.parameter}": float(one.core) for one in track_pulls(result).pulls},
+            )
+        )
+    return Numbers(rows, {"events": f"{events:,} mu- a row, seed {SEED}"})
+
+
+def measure_pulls(share: float) -> Numbers:
+    """Measure pulls of clusters that have the slope of their track, in designs that the factors have not seen."""
+    n, rows = share_of(IN_EACH, share, 400), []
+    for readout in (cg.TigerReadout(), cg.Apv25Readout()):
+        rows += [
+            Pull(readout.name, one.quantity, one.low, one.high, one.clusters, one.core, one.mean, 100 * one.beyond)
+            for one in errors.pulls(readout, designs=DESIGNS, n=n)
+        ]
+    return Numbers(rows, {"events": f"{n} muons in each of {DESIGNS} designs"})
+
+
+def measure_beam(share: float) -> Numbers:
+    """Measure a beam of pions at the angles of the test beam, without field."""
+    n, rows = share_of(BEAM, share, 300), []
+    for case, readout in BEAMS.items():
+        found = scan.scan(readout, "angle", list(PUBLISHED), bz=0.0, n=n)
+        for angle, (point, _) in zip(PUBLISHED, found.points, strict=True):
+            of = [float(point.widths[name].core) for name in ("centroid", "micro-tpc", "merged", "track")]
+            rows.append(Beam(case, angle, point.size, point.charge, *of))
+    return Numbers(rows, {"events": f"{n} pi- of 150 GeV/c at each angle"})
+
+
+def measure_ghosts(share: float) -> Numbers:
+    """Measure wrong pairs of several muons on a sheet."""
+    n, rows = share_of(GHOSTS, share, 100), []
+    for readout in (cg.TigerReadout(), cg.Apv25Readout()):
+        for one in scan.scan_ghosts(cg.load(DETECTOR), readout, n=n).points:
+            shares = [100 * value for way in scan.WAYS for value in one.wrong[way]]
+            rows.append(Ghosts(readout.name, one.tracks, one.crossings, *shares))
+    return Numbers(rows, {"events": f"{n} events each"})
+
+
+def of_pitch(pitch: int) -> cg.Detector:
+    """Return the detector with strips of a pitch, um, in both views."""
+    return cg.load(DETECTOR).with_overrides({f"cgem.*.pitch_{view}": f"{pitch} um" for view in "xv"})
+
+
+def pitches(events: int) -> Iterator[Pitch]:
+    """Yield every chip at every pitch."""
+    for pitch in PITCHES:
+        detector = of_pitch(pitch)
+        channels = sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)
+        for chip in CHIPS:
+            at, seen = expected(detector, chip), {}
+            if pitch in SIMULATED:
+                seen = widths(simulated(detector, chip, events))
+            yield Pitch(chip, pitch, channels, at["d_rho"], at["d_z"], seen.get("d_rho"), seen.get("d_z"))
+
+
+def measure_pitches(share: float) -> Numbers:
+    """Work out the widths at every pitch, and simulate some."""
+    events = share_of(TRACKS, share, 500)
+    return Numbers(list(pitches(events)), {"events": f"{events:,} mu- in each simulation, seed {SEED}"})
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return all tables."""
+    return {
+        "sample": found["tracks"].about["events"],
+        "pions": found["beam"].about["events"],
+        "charges": _charges(found),
+        "factors": _factors(),
+        "tracks": _tracks(found),
+        "pulls": _pulls(found),
+        "beam": _beam(found),
+        "ghosts": _ghosts(found),
+        "pitch": _pitches(found),
+    }
+
+
+def _factors() -> str:
+    chips = [asdict(chip_errors(name)) for name in ("tiger", "apv25", "analog-projection")]
+    head = ["factor", "`tiger`", "`apv25`", "`analog-projection`"]
+    return table(head, [[f"`{name}`", *(f"{chip[name]:.3g}" for chip in chips)] for name in chips[0]])
+
+
+def _tracks(found: Found) -> str:
+    head = ["", "X, V [µm]", "σ(d_ρ) [µm]", "σ(d_z) [µm]", "σ(p) [MeV/c]", "pulls of X, V",
+            "pulls of d_ρ, φ_0, κ, d_z, tan λ, p"]  # fmt: skip
+    lines = [
+        [
+            row.readout, f"{row.x:.0f}, {row.v:.0f}", f"{row.d_rho:.0f} ({row.expected_d_rho:.0f})",
+            f"{1000 * row.d_z:.0f} ({1000 * row.expected_d_z:.0f})", f"{row.p:.2f} ({row.expected_p:.2f})",
+            f"{row.pull_x:.2f}, {row.pull_v:.2f}",
+            ", ".join(f"{getattr(row, f'pull_{name}'):.2f}" for name in ("dr", "phi0", "kappa", "dz", "tanl", "p")),
+        ]
+        for row in found["tracks"].rows
+    ]  # fmt: skip
+    return table(head, lines)
+
+
+#: Quantities of `Pull` in a row of the table, and its title.
+_GROUPS = {
+    "all, X, V": ("all", "view"), "slope from": ("slope",), "strips from": ("strips",),
+    "charge quantiles from": ("charge",),
+}  # fmt: skip
+
+
+def _pulls(found: Found) -> str:
+    lines = []
+    for title, group in _GROUPS.items():
+        chips = [[row for row in found["pulls"].rows if row.readout == one and row.quantity in group]
+                 for one in ("tiger", "apv25")]  # fmt: skip
+        ends = ", ".join(f"{row.low:g}" for row in chips[0]) if title.endswith("from") else ""
+        lines.append([f"{title} {ends}".strip(), *(", ".join(f"{row.core:.2f}" for row in rows) for rows in chips)])
+        lines.append(["beyond 3 [%]", *(", ".join(f"{row.beyond:.1f}" for row in rows) for rows in chips)])
+    return table(["clusters", "`tiger`", "`apv25`"], lines)
+
+
+def _beam(found: Found) -> str:
+    head = ["angle", "strips", "centroid [µm]", "micro-TPC [µm]", "merged [µm]", "track's angle [µm]"]
+    rows = {(row.case, row.angle): row for row in found["beam"].rows}
+    lines = []
+    for angle, (strips, *published) in PUBLISHED.items():
+        gain, tuned = rows["gain", angle], rows["tuned", angle]
+        three = [
+            f"{there}, {getattr(gain, name):.0f}, {getattr(tuned, name):.0f}"
+            for there, name in zip(published, ("centroid", "line", "merged"), strict=True)
+        ]
+        lines.append(
+            [
+                angle,
+                f"{strips:.2f}, {gain.strips:.2f}, {tuned.strips:.2f}",
+                *three,
+                f"{gain.track:.0f}, {tuned.track:.0f}",
+            ]
+        )
+    return table(head, lines)
+
+
+def _charges(found: Found) -> str:
+    tuned = {row.angle: row.charge for row in found["beam"].rows if row.case == "tuned"}
+    return f"{tuned[0]:.0f} and {tuned[20]:.0f}"
+
+
+def _ghosts(found: Found) -> str:
+    head = ["tracks", "`tiger`: geometry [%]", "charge and time [%]", "`apv25`: geometry [%]", "charge and time [%]"]
+    lines = []
+    for number in dict.fromkeys(row.tracks for row in found["ghosts"].rows):
+        cells = [
+            f"{value:.1f} ± {error:.1f}"
+            for row in found["ghosts"].rows
+            if row.tracks == number
+            for value, error in ((row.geometry, row.geometry_error), (row.charge_time, row.charge_time_error))
+        ]
+        lines.append([number, *cells])
+    return table(head, lines)
+
+
+def _pitches(found: Found) -> str:
+    head = ["pitch [mm]", "channels", *(f"`{chip}` [µm]" for chip in CHIPS), "simulated [µm]"]
+    rows = {(row.readout, row.pitch): row for row in found["pitch"].rows}
+    lines = []
+    for pitch in PITCHES:
+        here = [rows[chip, pitch] for chip in CHIPS]
+        seen = [f"{row.simulated_d_rho:.0f}" for row in here if row.simulated_d_rho is not None]
+        values = [f"{row.d_rho:.0f}" for row in here]
+        lines.append([f"{pitch / 1000:g}", here[0].channels, *values, ", ".join(seen)])
+    return table(head, lines)
+
+
+def draw(found: Found) -> Figure:
+    """Draw sigma(d_rho) against the pitch and against the number of channels."""
+    figure, plots = plt.subplots(1, 2, figsize=(9.6, 3.8), sharey=True, dpi=90)
+    for chip, color in CHIPS.items():
+        rows = [row for row in found["pitch"].rows if row.readout == chip]
+        for plot, across in zip(
+            plots, ([row.pitch / 1000 for row in rows], [row.channels / 1000 for row in rows]), strict=True
+        ):
+            plot.plot(across, [row.d_rho for row in rows], "-", color=color, label=f"{chip}, expected")
+            seen = [(x, row.simulated_d_rho) for x, row in zip(across, rows, strict=True) if row.simulated_d_rho]
+            plot.plot(*zip(*seen, strict=True), "o", color=color, ms=5, label="simulated")
+    plots[0].set(xlabel="pitch of X and V (mm)", ylabel=r"$\sigma(d_\rho)$ (µm)")
+    plots[1].set(xlabel="channels of X and V (thousands)")
+    plots[0].set_ylim(bottom=0)
+    plots[0].legend(fontsize=8, frameon=False)
+    figure.tight_layout()
+    return figure
+
+
+PAGE = Page(
+    "readout", "docs/methods/readout.md", "5 min",
+    {
+        "tracks": (Tracks, measure_tracks), "pulls": (Pull, measure_pulls), "beam": (Beam, measure_beam),
+        "ghosts": (Ghosts, measure_ghosts), "pitch": (Pitch, measure_pitches),
+    },
+    blocks, {"readout-pitch.png": draw},
+)  # fmt: skip
