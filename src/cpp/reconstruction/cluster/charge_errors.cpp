@@ -116,8 +116,14 @@ double ChargeErrors::of_free_line(int view, std::size_t layer, const ChargeMomen
          chip.line * (square(charge.height) + charge.hh * charge.squares) * free;
 }
 
-double ChargeErrors::slope_weight(const PlaneErrors& plane, const ChargeMoments& charge) const {
-  return charge.hh / charge.squares / (square(plane.pitch) / 12 + plane.cloud + plane.diffusion);
+OwnSlope ChargeErrors::own_slope(const PlaneErrors& plane, const ChargeMoments& charge, double span) const {
+  // Strips have the mean heights of their charge, which spread less than the charge itself, and noise adds to
+  // them.
+  const double time = square(chip.jitter) + square(charge.strips * chip.rise * chip.noise / charge.charge);
+  const double spread =
+      std::max(charge.hh - chip.time * square(plane.velocity) * time * (1 - charge.squares), 0.0);
+  const double width = square(plane.pitch) / 12 + plane.cloud + plane.diffusion;
+  return {charge.xh / (spread + square(span) / 12), spread / charge.squares / width};
 }
 
 double ChargeErrors::expected(Estimator estimator, bool of_track, int view, std::size_t layer,

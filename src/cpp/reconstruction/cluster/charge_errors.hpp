@@ -67,6 +67,11 @@ struct Direction {
   double path;   // of the track, per radius
 };
 
+// The slope that the strips of a cluster have themselves.
+struct OwnSlope {
+  double value, weight;  // weight: 1 over its variance
+};
+
 struct ChargeErrors {
   ChipErrors chip;
   std::span<const PlaneErrors> planes;  // by view, then layer
@@ -86,8 +91,8 @@ struct ChargeErrors {
   double of_charge_line(int view, std::size_t layer, const ChargeMoments& charge, Direction direction,
                         double slope_variance) const;
   double of_free_line(int view, std::size_t layer, const ChargeMoments& charge, Direction direction) const;
-  // Weights of the strips' own slope, against 1 over its variance.
-  double slope_weight(const PlaneErrors& plane, const ChargeMoments& charge) const;
+  // `span`: see above.
+  OwnSlope own_slope(const PlaneErrors& plane, const ChargeMoments& charge, double span) const;
   // Of a cluster with a number of electrons that is as wide as expected. `of_track`: its slope is known.
   double expected(Estimator estimator, bool of_track, int view, std::size_t layer, Direction direction,
                   double electrons) const;

@@ -232,15 +232,13 @@ class ChargeTimeClusters {
     } else if (model_.estimator == Estimator::merged || known.of_track) {
       double slope_variance = 0;
       if (!known.of_track) {
-        // The strips' own slope and the one from the beam line, of which the track may not come. Strips have
-        // the mean heights of their charge, which spread less than the charge itself.
+        // The strips' own slope and the one from the beam line, of which the track may not come.
         const PlaneErrors& at = model_.errors.plane(view, number);
-        const double seen = model_.errors.span(at, direction.slope);
-        const double apart = charge.xh / (charge.hh + seen * seen / 12) - direction.slope;
-        const double own = model_.errors.slope_weight(at, charge), spread = model_.errors.chip.slope;
-        const double unlikely = own > 0 ? std::max(apart * apart - disagreement / own, 0.0) : 0;
-        slope_variance = 1 / (own + 1 / (spread * spread + unlikely));
-        const double more = own > 0 ? slope_variance * own * apart : 0;
+        const OwnSlope own = model_.errors.own_slope(at, charge, model_.errors.span(at, direction.slope));
+        const double apart = own.value - direction.slope, spread = model_.errors.chip.slope;
+        const double unlikely = own.weight > 0 ? std::max(apart * apart - disagreement / own.weight, 0.0) : 0;
+        slope_variance = 1 / (own.weight + 1 / (spread * spread + unlikely));
+        const double more = slope_variance * own.weight * apart;
         known.slope += more;
         direction.slope += more;
       }
