@@ -40,6 +40,7 @@ RADIUS = 2000.0
 """Of the anode, mm."""
 LEAST_FIELD = 1e-3  # T
 _SPREAD = 20.0  # mm, half-width of the beam at mid-gap
+_FEWEST = 50  # clusters with a line that have a width
 _BEFORE = 3.0  # mm, from the layer's inner face to where particles start
 
 
@@ -145,7 +146,7 @@ def beam_views(
 ) -> tuple[BeamPoint, BeamPoint]:  # fmt: skip
     """Return what a read-out resolves in X and V at one angle.
 
-    The mean of centroid and line has the weight, from another sample at this angle, with which its variance is least.
+    The mean of centroid and line has the weights of their widths in another sample at this angle.
 
     Parameters
     ----------
@@ -200,23 +201,14 @@ def _estimates(result: Result, angle: float) -> tuple[dict[str, Measurements], i
     return found, len(truths)
 
 
-_ROUNDS = 5  # in which tails are left out
-
-
 def _line_shares(line: Measurements, centroid: Measurements) -> Floats:
-    """Return the weights of lines in X and V, (2,), with which the mean of line and centroid has the least variance.
-
-    Both follow the same electrons: their covariance counts. Tails do not.
-    """
+    """Return the weights of lines in X and V, (2,): inverse squares of the core widths, as in the published means."""
     shares = np.zeros(2)
     for view in (0, 1):
-        pair = np.array([centroid.residual, line.residual])[:, centroid.view == view]
-        for _ in range(_ROUNDS):
-            if pair.shape[1] > 1:
-                pair = pair[:, (np.abs(pair) < 3 * np.std(pair, axis=1, keepdims=True)).all(axis=0)]
-        apart = pair[1] - pair[0]
-        square = float(apart @ apart)
-        shares[view] = np.clip(-(pair[0] @ apart) / square, 0, 1) if square > 0 else 0.0
+        mine = (line.view == view) & (line.residual != centroid.residual)
+        if np.count_nonzero(mine) >= _FEWEST:
+            of_line, of_centroid = (measure(one.residual[mine]).core for one in (line, centroid))
+            shares[view] = of_centroid**2 / (of_centroid**2 + of_line**2)
     return shares
 
 

@@ -70,7 +70,8 @@ double ChargeErrors::common(const PlaneErrors& plane, std::size_t layer, const C
   const double number = electrons(charge);
   const double noise =
       square(chip.noise * plane.pitch / charge.charge) * charge.strips * (square(charge.strips) - 1) / 12;
-  // The charge of a single strip is where its neighbours would have less than the threshold.
+  // The charge of a single strip is where its neighbours have less than the threshold, whose shares
+  // fluctuate: half of the variance of a position anywhere there.
   double alone = 0;
   if (charge.strips < 1.5) {
     const double least = std::clamp(plane.threshold / charge.charge, 1e-6, 0.5);
@@ -80,7 +81,7 @@ double ChargeErrors::common(const PlaneErrors& plane, std::size_t layer, const C
   // The share of the largest ionization cluster, and how far its electrons reach.
   const double single = (1 + chip.gain_variance) / number;
   const double largest = std::max(shares.at(layer, path, number) - single, 0.0);
-  return chip.diffusion * plane.diffusion * single + plane.wave + noise + square(alone) / 12 +
+  return chip.diffusion * plane.diffusion * single + plane.wave + noise + square(alone) / 24 +
          chip.wide * std::max(excess, 0.0) + largest * square(delta_range(std::sqrt(largest) * number));
 }
 
