@@ -82,10 +82,11 @@ def drawn(heights: np.ndarray, factors: dict[str, float], n: int = 40_000) -> Te
 
 
 def test_heights_are_found() -> None:
-    """In spite of tails, and of residuals with unequal errors."""
-    true = np.array([-0.05, 0.08, -0.14])
-    assert fitted_heights(drawn(true, {"wide": 0.4})) == pytest.approx(true, abs=0.012)
-    assert fitted_heights(drawn(0 * true, {"wide": 0.4})) == pytest.approx(0 * true, abs=0.012)
+    """In spite of tails, some of which lie to the side of the slope, and of residuals with unequal errors."""
+    for true in (np.array([-0.05, 0.08, -0.14]), np.zeros(3)):
+        sample = drawn(true, {"wide": 0.4})
+        far = np.where(np.arange(len(sample.residual)) % 30 == 0, np.sign(sample.heights[:, 0]), 0.0)  # mm
+        assert fitted_heights(sample._replace(residual=sample.residual + far)) == pytest.approx(true, abs=0.012)
 
 
 def test_factors_are_found() -> None:
@@ -151,9 +152,8 @@ def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypat
         return sample._replace(error=1.25 * sample.error)
 
     monkeypatch.setattr(errors, "measurements", too_large)
-    wrong = pulls(readout, estimator="merged", of_track=True, designs=8, n=1000)
-    assert abs(wrong[0].core - 1) > 0.08
-    assert wrong[0].core == pytest.approx(found[0].core / 1.25, rel=0.01)
+    wrong = pulls(readout, estimator="merged", of_track=True, designs=2, n=1000)
+    assert wrong[0].core < 0.92
 
 
 def test_pulls_with_other_factors() -> None:
@@ -162,6 +162,7 @@ def test_pulls_with_other_factors() -> None:
     own, other = (pulls(TIGER, designs=2, n=300, errors=one)[0] for one in (None, large))
     assert other.clusters == own.clusters
     assert other.core < 0.7 * own.core
+    assert pulls(TIGER, designs=2, n=300, errors=chip_errors("tiger"))[0] == own
 
 
 @pytest.mark.slow
