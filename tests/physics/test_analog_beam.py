@@ -193,13 +193,13 @@ def test_analytic_errors_are_those_of_tracks(readout: AnalogReadout | Projection
 def test_analytic_errors_at_one_angle(
     readout: AnalogReadout | ProjectionReadout, cos_theta: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They hold at every angle, too; with errors of all angles d_z is up to 16 % off."""
+    """They hold at every angle, too; with errors of all angles d_z is 5 % off or more."""
     expected = as_expected(readout, cos_theta, 8000)
     if cos_theta == -0.8 and isinstance(readout, AnalogReadout):
         of_all = [one.mean(axis=1) for one in clusterer_of(readout).expected_errors(load("besiii-cgem-design"))]
         monkeypatch.setattr(ChargeTimeClusterer, "expected_errors", lambda *_: of_all)
         wrong = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
-        assert float(np.squeeze(wrong.sigma_dz)) < 0.93 * float(np.squeeze(expected.sigma_dz))
+        assert float(np.squeeze(wrong.sigma_dz)) < 0.96 * float(np.squeeze(expected.sigma_dz))
 
 
 @pytest.mark.parametrize("second_pass", [False, True])
