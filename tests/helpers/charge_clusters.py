@@ -126,7 +126,7 @@ def expected_cluster(
         "diffusion": chip.diffusion * plane.diffusion * single,
         "strips": plane.pitch**2 / (2 * math.pi**2) * math.exp(-4 * math.pi**2 * plane.cloud / plane.pitch**2),
         "noise": (readout.noise * plane.pitch / total) ** 2 * n * (n**2 - 1) / 12,
-        "alone": alone**2 / 12,
+        "alone": alone**2 / 24,
         "delta": largest * reach**2,
     }
 
@@ -146,16 +146,21 @@ def expected_cluster(
     slope_variance = 0.0
     if not of_track:
         # The slope that the charge has, weighted with that of a track from the beam line.
-        own = hh / squares / width
-        slope_variance = 1 / (own + 1 / SLOPE**2)
-        more = slope_variance * own * (xh / (hh + seen**2 / 12) - s)
+        # Noise is no part of the spread of heights. Where the slopes disagree, the track may come from elsewhere.
+        noise = readout.jitter**2 + (n * readout.chip.timing.peak * readout.noise / total) ** 2
+        spread_of_heights = max(hh - chip.time * plane.velocity**2 * noise * (1 - squares), 0.0)
+        own = spread_of_heights / squares / width
+        apart = xh / (spread_of_heights + seen**2 / 12) - s
+        prior = SLOPE**2 + (max(apart**2 - 1 / own, 0.0) if own > 0 else 0.0)
+        slope_variance = 1 / (own + 1 / prior)
+        more = slope_variance * own * apart
         slope, s = slope + more, s + more
     time_variance = readout.jitter**2 * squares + n * (readout.chip.timing.peak * readout.noise / total) ** 2
-    apart = place - x - s * (height - h)
+    beside = place - x - s * (height - h)
     variances |= {
         "height": s**2 * (chip.span * span(s) ** 2 * single + chip.time * plane.velocity**2 * time_variance),
         "slope": h**2 * slope_variance,
         "cut": chip.cut * (plane.threshold / total * plane.pitch) ** 2 / 12,
-        "wide": chip.wide * max(share @ apart**2 - width, 0.0),
+        "wide": chip.wide * max(share @ beside**2 - width, 0.0),
     }
     return Expected(x - lorentz(h) - slope * h, math.sqrt(sum(variances.values())), time, variances)

@@ -414,14 +414,15 @@ def misfits(sample, cos_theta):
     return found
 
 
-STEEP = pytest.mark.xfail(strict=True, reason="errors of X are a third too large beyond |cos(theta)| of 0.75")
+STEEP = pytest.mark.xfail(strict=True, reason="beyond |cos(theta)| of 0.75 errors of X are a third too large")
+BIASED = pytest.mark.xfail(strict=True, reason="beyond |cos(theta)| of 0.75 V of one sign has a mean of 0.21 errors")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "along"),
     [
-        ("tiger", False), ("tiger", True), ("apv25", False), ("apv25", True),
+        ("tiger", False), ("tiger", True), pytest.param("apv25", False, marks=BIASED), ("apv25", True),
         pytest.param("analog-projection", False, marks=STEEP),
     ],
 )  # fmt: skip
@@ -450,7 +451,7 @@ def test_known_tracks_have_no_bias_of_their_charge(digitized, name):
     assert abs(known[0]) < 0.02 + 2 * known[1]
 
 
-SINGLE = pytest.mark.xfail(strict=True, reason="errors of single V strips of tiger are 1.6 times too large")
+SINGLE = pytest.mark.xfail(strict=True, reason="errors of single V strips of tiger are 1.5 times too large")
 
 
 @pytest.mark.slow
