@@ -89,6 +89,15 @@ std::vector<PlaneErrors> plane_errors(const py::dict& table, std::size_t planes)
   return found;
 }
 
+ShareTable share_table(const Array<double>& paths, const Array<double>& numbers, const Array<double>& values,
+                       py::ssize_t layers) {
+  if (paths.size() < 1 || numbers.size() < 1) {
+    throw std::invalid_argument("shares: expected at least one path and number");
+  }
+  return {column(paths, "paths"), column(numbers, "numbers"),
+          column(values, "values", layers * paths.size() * numbers.size())};
+}
+
 ChipErrors chip_errors(const py::dict& numbers) {
   const auto of = [&](const char* name) { return numbers[name].cast<double>(); };
   return {.ionization = of("ionization"),
@@ -136,18 +145,14 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                       charges_apart = array(shares, "charges_apart"),
                       times_apart = array(shares, "times_apart");
   const py::ssize_t points = n == 0 ? 2 : charges.size() / (2 * rows);
-  if (points < 2) throw std::invalid_argument("delays: expected at least two charges");
+  if (points < 2 || spreads.size() < 1) throw std::invalid_argument("delays: expected charges and times");
   const ChargeTimeModel model{
       .layers = layers,
       .delays = {column(spreads, "spreads"), column(charges, "charges", 2 * rows * points),
                  column(delay, "delays", 2 * rows * spreads.size() * points),
                  static_cast<std::size_t>(points)},
-      .errors = {chip_errors(chip),
-                 by_plane,
-                 {column(share_paths, "paths"), column(numbers, "numbers"),
-                  column(values, "values", rows * share_paths.size() * numbers.size())},
-                 column(charges_apart, "charges_apart", rows),
-                 column(times_apart, "times_apart", rows)},
+      .errors = {chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows),
+                 column(charges_apart, "charges_apart", rows), column(times_apart, "times_apart", rows)},
       .estimator = estimator_of(estimator),
       .missing = missing,
       .mask = StripMask(detector, column(masked, "masked"), bridge),
@@ -176,12 +181,8 @@ py::array_t<double> expected_variances(const py::dict& chip, const py::dict& pla
                       values = array(shares, "values");
   const auto rows = array(planes, "pitch").size();
   const std::vector<PlaneErrors> by_plane = plane_errors(planes, static_cast<std::size_t>(rows));
-  const ChargeErrors errors{chip_errors(chip),
-                            by_plane,
-                            {column(share_paths, "paths"), column(numbers, "numbers"),
-                             column(values, "values", rows / 2 * share_paths.size() * numbers.size())},
-                            {},
-                            {}};
+  const ChargeErrors errors{
+      chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows / 2), {}, {}};
   if ((view != 0 && view != 1) || layer >= static_cast<std::size_t>(rows / 2)) {
     throw std::invalid_argument("view, layer: expected one of the detector");
   }
