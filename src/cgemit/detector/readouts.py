@@ -130,6 +130,48 @@ class GaussianReadout(Readout):
         return 0
 
 
+@dataclass(frozen=True)
+class ChipErrors:
+    """Factors of a chip in the errors of its clusters, fitted to simulated clusters (``cgemit readout --fit``).
+
+    Errors of clusters: docs/methods/readout.md.
+
+    Attributes
+    ----------
+    ionization : float
+        On the variance of the mean height of the charge, from the numbers and sizes of ionization clusters.
+    cut : float
+        On the variance by charge of strips below the threshold.
+    diffusion : float
+        On the variance by diffusion, holes and gain over the number of electrons.
+    span : float
+        On the variance of heights, from the part of the gap that a strip sees and its number of electrons.
+    time : float
+        On the variance of heights by jitter, and by noise on the leading edge.
+    wide : float
+        Share, in the variance, of what the charge is wider than expected.
+    line : float
+        On the variance of a line fit by its own slope.
+    height : float
+        mm, what to add to all heights.
+    height_per_span : float
+        What to add to heights, over the part of the gap that a strip sees.
+    height_by_threshold : float
+        What to add to this, over the thresholds of all strips in the charge of a cluster.
+    """
+
+    ionization: float
+    cut: float
+    diffusion: float
+    span: float
+    time: float
+    wide: float
+    line: float
+    height: float
+    height_per_span: float
+    height_by_threshold: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class ProjectionReadout(Readout):
     """Each strip integrates its part of a charge profile along the projected path; position is the charge centroid.
@@ -163,6 +205,8 @@ class ProjectionReadout(Readout):
     """
 
     name: ClassVar[str] = "analog-projection"
+    #: Of a read-out from outside the package; None: those of the read-out that it extends.
+    errors: ClassVar[ChipErrors | None] = None
 
     gain: Gain = GAIN
     sigma: Width = 0.29
@@ -322,6 +366,8 @@ class AnalogReadout(Readout):
     """
 
     chip: ClassVar[Chip]
+    #: Of a read-out from outside the package; None: those of the read-out that it extends.
+    errors: ClassVar[ChipErrors | None] = None
 
     gain: Gain = GAIN
     polya: NotNegative = 0.36

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict
 from functools import cache, lru_cache
 from importlib import resources
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from cgemit import _core
 from cgemit.detector import Detector
 from cgemit.detector.gas import cluster_shares, clusters_per_mm, drift_columns
 from cgemit.detector.parts import CgemLayer
-from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, Chip
+from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, Chip, ChipErrors
 
 Floats = npt.NDArray[np.float64]
 
@@ -37,47 +37,13 @@ _MUON = math.log(9.46)  # ln(beta gamma) of 1 GeV/c, whose ionization is expecte
 _HOLES = 5 / 36 / 2  # variance of the way to the nearest hole, in squares of the pitch of a hexagonal lattice
 
 
-@dataclass(frozen=True)
-class ChipErrors:
-    """Factors of a chip in the errors of its clusters, fitted to simulated clusters (``cgemit readout --fit``).
-
-    Attributes
-    ----------
-    ionization : float
-        On the variance of the mean height of the charge, from the numbers and sizes of ionization clusters.
-    cut : float
-        On the variance by charge of strips below the threshold.
-    diffusion : float
-        On the variance by diffusion, holes and gain over the number of electrons.
-    span : float
-        On the variance of heights, from the part of the gap that a strip sees and its number of electrons.
-    time : float
-        On the variance of heights by jitter, and by noise on the leading edge.
-    wide : float
-        Share, in the variance, of what the charge is wider than expected.
-    line : float
-        On the variance of a line fit by its own slope.
-    height : float
-        mm, what to add to all heights.
-    height_per_span : float
-        What to add to heights, over the part of the gap that a strip sees.
-    height_by_threshold : float
-        What to add to this, over the thresholds of all strips in the charge of a cluster.
-    """
-
-    ionization: float
-    cut: float
-    diffusion: float
-    span: float
-    time: float
-    wide: float
-    line: float
-    height: float
-    height_per_span: float
-    height_by_threshold: float
-
-
 @cache
+def _of_package() -> dict[str, ChipErrors]:
+    """Return the factors of the read-outs of the package by name."""
+    text = (resources.files("cgemit.reconstruction") / "cluster_errors.toml").read_text(encoding="utf-8")
+    return {name: ChipErrors(**found) for name, found in tomllib.loads(text).items()}
+
+
 def chip_errors(name: str) -> ChipErrors:
     """Return the factors of a read-out of the package.
 
@@ -90,28 +56,27 @@ def chip_errors(name: str) -> ChipErrors:
     ValueError
         If the package has none of this name.
     """
-    text = (resources.files("cgemit.reconstruction") / "cluster_errors.toml").read_text(encoding="utf-8")
-    found = tomllib.loads(text)
-    if name not in found:
-        raise ValueError(f"errors of clusters: got read-out {name!r}, expected one of {', '.join(found)}")
-    return ChipErrors(**{one.name: float(found[name][one.name]) for one in fields(ChipErrors)})
+    if name not in _of_package():
+        raise ValueError(f"errors of clusters: got read-out {name!r}, expected one of {', '.join(_of_package())}")
+    return _of_package()[name]
 
 
 def errors_of(readout: ChargeReadout) -> ChipErrors:
-    """Return the factors of a read-out: its own, or those of the read-out of the package that it extends."""
-    own: ChipErrors | None = getattr(type(readout), "errors", None)
-    if own is not None:
-        return own
+    """Return the factors of a read-out: its own, or those of the read-out of the package that it extends.
+
+    Parameters
+    ----------
+    readout : ChargeReadout
+
+    Raises
+    ------
+    ValueError
+        If there are none.
+    """
+    if readout.errors is not None:
+        return readout.errors
     names = [vars(one)["name"] for one in type(readout).__mro__ if "name" in vars(one)]
-    return chip_errors(next((name for name in names if _has(name)), names[0]))
-
-
-def _has(name: str) -> bool:
-    try:
-        chip_errors(name)
-    except ValueError:
-        return False
-    return True
+    return chip_errors(next((name for name in names if name in _of_package()), readout.name))
 
 
 class ErrorInputs(NamedTuple):

@@ -12,9 +12,9 @@ import pytest
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers, analytic, load, register_readout, run
 from cgemit.detector import Detector
 from cgemit.detector.parts import local_v, strips_of_v
-from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, Readout, TigerReadout
+from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, ChipErrors, Readout, TigerReadout
 from cgemit.reconstruction.cluster import CLUSTERERS, cluster, clusterer_of
-from cgemit.reconstruction.cluster_errors import ChipErrors, chip_errors
+from cgemit.reconstruction.cluster_errors import chip_errors
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings, Floats
 from cgemit.simulation import digitize

@@ -15,10 +15,10 @@ from cgemit.chain.run import run
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import MAX_B, drift_columns
 from cgemit.detector.parts import local_v
-from cgemit.detector.readouts import AnalogReadout, ChargeReadout, Estimator
+from cgemit.detector.readouts import AnalogReadout, ChargeReadout, ChipErrors, Estimator
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import charge_clusterer
-from cgemit.reconstruction.cluster_errors import ChipErrors, ErrorInputs, error_inputs
+from cgemit.reconstruction.cluster_errors import ErrorInputs, error_inputs
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
