@@ -216,11 +216,14 @@ def test_analytic_errors_at_one_angle(
         assert float(np.squeeze(wrong.sigma_dz)) < 0.96 * float(np.squeeze(expected.sigma_dz))
 
 
+BY_CHARGE = pytest.mark.xfail(strict=True, reason="by charge errors are up to 13 % off, too large for the least charge")
+
+
+@pytest.mark.parametrize("by", [pytest.param("charge", marks=BY_CHARGE), "size"])
 @pytest.mark.parametrize("second_pass", [False, True])
-def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
+def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> None:
     """Errors hold for little and much charge and up to six strips; X clusters of more are those of delta electrons.
 
-    One set of factors serves all charges and sizes: 6 % for all clusters, 15 % for each range.
     These, 3 % of all, have a bias and no Gaussian core: their errors must be of the right order.
     """
     readout = TigerReadout(second_pass=second_pass)
@@ -229,14 +232,12 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     own = truth.own_clusters(result.detector, clusters, result.truths)
     pull = truth.residuals(result.detector, clusters, result.truths, own)
     pull /= np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
-    charge, size = clusters["charge"][own], clusters["size"][own]
+    values = clusters[by][own]
     for view in (0, 1):
         mine = clusters["view"][own] == view
         assert measure(pull[mine]).core == pytest.approx(1, abs=0.06), view
-        for low, high in itertools.pairwise(np.quantile(charge[mine], (0, 0.1, 0.5, 0.9, 1))):
-            here = mine & (charge >= low) & (charge <= high)
-            assert measure(pull[here]).core == pytest.approx(1, abs=0.15), (view, low, high)
-        for low, high in ((1, 3), (4, 4), (5, 6)):
-            here = mine & (size >= low) & (size <= high)
-            assert measure(pull[here]).core == pytest.approx(1, abs=0.15), (view, low, high)
-        assert 0.6 < np.quantile(np.abs(pull[mine & (size > 6)]), 0.683) < 1.5
+        edges = np.quantile(values[mine], (0, 0.1, 0.5, 0.9, 1)) if by == "charge" else np.array([0, 3, 4, 6])
+        for low, high in itertools.pairwise(edges):
+            here = mine & (values > low) & (values <= high)
+            assert measure(pull[here]).core == pytest.approx(1, abs=0.1), (view, low, high)
+        assert by == "charge" or 0.6 < np.quantile(np.abs(pull[mine & (values > 6)]), 0.683) < 1.5

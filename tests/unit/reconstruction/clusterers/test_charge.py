@@ -397,40 +397,55 @@ def sample_of(result, readout, along):
     return sample, z / np.hypot(z, np.array([layer.r_mid for layer in LAYERS.cgem])[sample.layer])
 
 
-def misfits(sample, cos_theta):
-    """Return what is wrong with the pulls of each view and range of the angle, as text.
-
-    One set of factors serves all designs: widths are those of a core within 15 %, means below 0.2.
-    """
-    found = []
+def pulls_by_angle(sample, cos_theta):
+    """Return the pulls of each view and range of the angle by their name."""
+    found = {}
     for view in (0, 1):
         for low, high in pairwise(BINS):
             here = (sample.view == view) & (cos_theta > low) & (cos_theta < high)
-            pull = measure(sample.residual[here] / sample.error[here])
-            if abs(pull.core - 1) > 0.15:
-                found.append(f"{'XV'[view]} {low} to {high}: width {pull.core:.3f}")
-            if abs(pull.core_mean) > 0.2:
-                found.append(f"{'XV'[view]} {low} to {high}: mean {pull.core_mean:.3f}")
+            found[f"{'XV'[view]} {low} to {high}"] = measure(sample.residual[here] / sample.error[here])
     return found
 
 
 STEEP = pytest.mark.xfail(strict=True, reason="beyond |cos(theta)| of 0.75 errors of X are a third too large")
-BIASED = pytest.mark.xfail(strict=True, reason="beyond |cos(theta)| of 0.75 V of one sign has a mean of 0.21 errors")
+BIASED = pytest.mark.xfail(
+    strict=True, reason="heights of one set of factors: means of up to 0.21 errors in this design"
+)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "along"),
     [
-        ("tiger", False), ("tiger", True), pytest.param("apv25", False, marks=BIASED), ("apv25", True),
+        ("tiger", False), ("tiger", True), ("apv25", False), ("apv25", True),
         pytest.param("analog-projection", False, marks=STEEP),
     ],
 )  # fmt: skip
-def test_pulls_at_all_angles(digitized, name, along):
-    """Pulls of X and V have unit width and hardly a bias at any angle, without and with the angle of the track."""
+def test_pulls_have_unit_width_at_all_angles(digitized, name, along):
+    """Core widths of pulls of X and V are within 10 % of 1, without and with the angle of the track."""
     sample, cos_theta = sample_of(digitized[name], READOUTS[name], along)
-    assert not misfits(sample, cos_theta)
-    assert misfits(sample._replace(error=1.25 * sample.error), cos_theta)  # the gate can fail
+
+    def wrong(sample):
+        pulls = pulls_by_angle(sample, cos_theta)
+        return {where: pull.core for where, pull in pulls.items() if abs(pull.core - 1) > 0.1}
+
+    assert not wrong(sample)
+    assert wrong(sample._replace(error=1.25 * sample.error))  # the gate can fail
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "along"),
+    [
+        ("tiger", False), pytest.param("tiger", True, marks=BIASED), pytest.param("apv25", False, marks=BIASED),
+        pytest.param("apv25", True, marks=BIASED), ("analog-projection", False),
+    ],
+)  # fmt: skip
+def test_pulls_have_no_bias_at_any_angle(digitized, name, along):
+    """Means of pulls of X and V are below a tenth of the error, without and with the angle of the track."""
+    pulls = pulls_by_angle(*sample_of(digitized[name], READOUTS[name], along))
+    means = {where: pull.core_mean for where, pull in pulls.items()}
+    assert not {where: mean for where, mean in means.items() if abs(mean) > 0.1 + 2 * pulls[where].core_mean_error}
 
 
 @pytest.mark.slow
@@ -460,7 +475,7 @@ SINGLE = pytest.mark.xfail(strict=True, reason="errors of single V strips of tig
     ("name", "sizes"), [("tiger", range(2, 7)), pytest.param("tiger", [1], marks=SINGLE), ("apv25", range(1, 7))]
 )
 def test_pulls_of_all_sizes(digitized, name, sizes, along):
-    """Up to six strips, beyond which X clusters are those of delta electrons, pulls have unit width within 15 %."""
+    """Up to six strips, beyond which X clusters are those of delta electrons, pulls have unit width within 10 %."""
     sample, _ = sample_of(digitized[name], READOUTS[name], along)
     for view in (0, 1):
         for strips in sizes:
@@ -468,7 +483,7 @@ def test_pulls_of_all_sizes(digitized, name, sizes, along):
             if np.count_nonzero(here) < 300:
                 continue
             pull = measure(sample.residual[here] / sample.error[here])
-            assert abs(pull.core - 1) < 0.15, (view, strips)
+            assert abs(pull.core - 1) < 0.1 + 2 * pull.core_error, (view, strips)
 
 
 @pytest.mark.parametrize("v_first", [300, 420, 560])
