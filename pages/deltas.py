@@ -40,10 +40,11 @@ GATED_CUT = "1 um"
 TOLERANCE, SIGMAS = 0.20, 3.0
 DISTANCES = (0.2, 0.5, 1.0, 2.0, 5.0)  # mm
 THRESHOLDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # keV
-CUTS = ("0.7 mm", "30 um", "1 um", "0.7 mm PAI")
 VIEWS = ("r-phi", "z")
 ORIGINS = {"all": (0, 1, 2), "gas": (0,), "cathode": (1,), "behind": (2,)}
 
+#: Geant4's runs with the coarsest and the finest range cut.
+_RUNS = (geant4_runs()[0], geant4_runs()[2])
 _REFERENCE_EVENTS = 100_000  # not recorded: assumed
 _CHUNK = 100_000
 
@@ -305,8 +306,6 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         **{f"{name}-events": numbers.about["events"] for name, numbers in found.items()},
         "gated": _gated(fractions),
-        "shown": _shown(fractions),
-        "spectrum": _spectrum(spectrum),
         "residuals": _residual_table(residuals),
         **_spans(fractions, spectrum, residuals),
     }
@@ -314,60 +313,26 @@ def blocks(found: Found) -> dict[str, str]:
 
 def _gated(rows: Sequence[Fraction]) -> str:
     lines = []
-    for row in (row for row in rows if row.gated):
-        text = f"{row.ratio:.3f} ± {row.allowed:.3f}" + ("" if row.agrees else " **(off)**")
-        lines.append(
-            [row.view, f"{row.distance:g}", f"{row.percent:.3f} ± {row.error:.3f}", f"{row.reference:g}", text]
-        )
-    return table(["view", "more than, mm", "cgemit, %", "Geant4, 1 um, %", "ratio ± allowed"], lines)
-
-
-def _shown(rows: Sequence[Fraction]) -> str:
-    lines = []
-    for origin in ORIGINS:
-        for cut in CUTS:
-            known = reference_fractions(cut)
-            if origin == "all" or (cut == GATED_CUT and ("r-phi", origin, DISTANCES[0]) in known):
-                views = [[known.get((view, origin, distance)) for distance in DISTANCES] for view in VIEWS]
-                lines.append([origin, f"Geant4, {cut}", *map(_series, views)])
-        for name in dict.fromkeys(row.arrangement for row in rows):
-            found = [row for row in rows if (row.arrangement, row.origin) == (name, origin)]
-            views = [[row.percent for row in found if row.view == view] for view in VIEWS]
-            lines.append([origin, f"cgemit, {name}", *map(_series, views)])
-    return table(["origin", "", *(f"{view}, %" for view in VIEWS)], lines)
-
-
-def _series(numbers: Sequence[float | None]) -> str:
-    return " ".join("–" if number is None else f"{number:.2f}" for number in numbers)
-
-
-def _spectrum(rows: Sequence[Born]) -> str:
-    lines = [
-        ["cgemit", *(f"{row.number:.4f}" for row in rows)],
-        ["free electrons", *(f"{row.free:.4f}" for row in rows)],
-        ["Geant4, universal", *(f"{row.universal:.4f}" for row in rows)],
-        ["Geant4, PAI", *(f"{row.pai:.4f}" for row in rows)],
-    ]
-    return table(["above, keV", *(f"{row.energy:g}" for row in rows)], lines)
+    for view in VIEWS:
+        found = [row for row in rows if row.gated and row.view == view]
+        cells = [f"{row.ratio:.2f} ± {row.allowed:.2f}" + ("" if row.agrees else " **(off)**") for row in found]
+        lines.append([view, *cells])
+    return table(["view", *(f"beyond {distance:g} mm" for distance in DISTANCES)], lines)
 
 
 def _residual_table(rows: Sequence[Number]) -> str:
-    found = {(row.deltas, row.quantity): row for row in rows}
+    found = {row.quantity: row for row in rows if row.deltas}
     lines = []
     for number, window in enumerate(X_WINDOWS):
-        cells = [with_error(found[deltas, window].value, found[deltas, window].error) for deltas in (True, False)]
-        title = "all" if window == "all" else f"±{window.removesuffix('mm')} mm"
-        lines.append([title, *cells, *(run.rms[number] for run in geant4_runs())])
-    for name, title, text in (
-        ("beyond_3mm", "residuals beyond 3 mm", [run.beyond_3mm for run in geant4_runs()]),
-        ("single_strip", "clusters of one strip", [run.single_strip for run in geant4_runs()]),
-    ):
-        scale, unit = (100, " %") if name == "beyond_3mm" else (1, "")
-        pairs = [found[deltas, name] for deltas in (True, False)]
-        cells = [with_error(scale * row.value, scale * row.error) + unit if row.value else "0" for row in pairs]
-        lines.append([title, *cells, *text])
-    head = ["within", "cgemit", "cgemit, no deltas", *(f"Geant4, {run.title}" for run in geant4_runs())]
-    return table(head, lines)
+        title = "RMS of all, um" if window == "all" else f"RMS within ±{window.removesuffix('mm')} mm, um"
+        own = with_error(found[window].value, found[window].error)
+        lines.append([title, own, *(run.rms[number] for run in _RUNS)])
+    far, single = found["beyond_3mm"], found["single_strip"]
+    own = with_error(100 * far.value, 100 * far.error)
+    lines.append(["beyond 3 mm", f"{own} %", *(run.beyond_3mm for run in _RUNS)])
+    own = with_error(single.value, single.error)
+    lines.append(["clusters of one strip", own, *(run.single_strip for run in _RUNS)])
+    return table(["", "cgemit", *(f"Geant4, {run.title}" for run in _RUNS)], lines)
 
 
 def _spans(fractions: Sequence[Fraction], spectrum: Sequence[Born], residuals: Sequence[Number]) -> dict[str, str]:

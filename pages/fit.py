@@ -11,7 +11,7 @@ import functools
 import itertools
 import math
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -38,7 +38,6 @@ PARTICLES = {"mu-": _LIGHT, "mu+": _LIGHT, "pi-": _LIGHT, "pi+": _LIGHT, "K-": _
 MOMENTA = tuple(sorted({*_LIGHT, *_HEAVY}))
 ANGLES = (0.0, 0.5, 0.8)
 DETECTORS = ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
-SIDE_RANGES = ((-1.0, 0.0), (0.0, 0.26), (0.26, 0.65), (0.65, 9.0))  # mm, of drift distances on the page
 
 FAR = 8.0  # a pull beyond is another helix, no fluctuation: such tracks are counted, and not in the widths
 N_SIGMA = 4.0  # standard errors of a number that it may be off
@@ -67,6 +66,8 @@ MODES = {
     "default": WITHOUT_DECAYS,
 }
 
+#: Titles of the samples in the table of pulls.
+_SAMPLES = {"gaussian": "Gaussian", "hidden": "Gaussian, sides unknown", "default": "default"}
 _ANGLE_COLOURS = dict(zip(ANGLES, (COLORS["x"], COLORS["single"], COLORS["fit"]), strict=True))
 _MARKERS = {"mu-": "o", "mu+": "s", "pi-": "^", "pi+": "v", "K-": "P", "proton": "D"}
 _LOSS_COLOURS = dict(zip(LOSSES, (COLORS["fit"], COLORS["x"], COLORS["truth"]), strict=True))
@@ -490,56 +491,39 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         "fit-versions": found["pulls"].about["versions"],
         "fit-events": found["pulls"].about["events"],
-        "loss-events": found["losses"].about["events"],
-        "side-events": found["sides"].about["events"],
-        **{f"pulls-{mode}": _pull_table(results, mode) for mode in MODES},
-        "off": _off_text(results, slow=False),
-        "off-slow": _off_text(results, slow=True),
+        "choice-events": found["losses"].about["events"],
+        "pulls": _pull_table(results),
+        "from-optimum": _from_optimum(results),
+        "chi2-off": _chi2_text(results),
         "residual-pulls": _residual_text(results),
         "widths": _width_table(results.widths),
-        "fit-losses": _loss_table(results),
-        "sides": _side_table(results),
         "known": _known_table(results),
     }
 
 
-def _groups(results: FitResults, mode: str) -> Iterable[tuple[str, float, list[Pull], list[Chi2]]]:
-    """Return detector and momentum with their pulls and chi-squares."""
-    for name, p in itertools.product(DETECTORS, MOMENTA):
-        pulls = [row for row in results.pulls if (row.mode, row.detector, row.p) == (mode, name, p)]
-        if pulls:
-            yield name, p, pulls, [row for row in results.chi2 if (row.mode, row.detector, row.p) == (mode, name, p)]
-
-
-def _pull_table(results: FitResults, mode: str) -> str:
-    tail = "tail of kappa, %" if mode == "default" else "flat, least | beyond 8, of 10⁴"
+def _pull_table(results: FitResults) -> str:
     lines = []
-    for name, p, pulls, curves in _groups(results, mode):
-        off = sum(not row.agrees for row in pulls)
-        lost = sum(row.lost for row in curves) / sum(row.lost + row.n for row in curves)
-        widest = max(pulls, key=lambda row: abs(row.width - 1) / row.tolerances[0])
-        farthest = max(pulls, key=lambda row: abs(row.mean) / row.tolerances[1])
-        cells = [f"{widest.width:.3f} ± {widest.width_error:.3f}", _where(widest)]
-        cells += [f"{farthest.mean:+.3f} ± {farthest.mean_error:.3f}", _where(farthest)]
-        tails = [row.tail for row in pulls if row.parameter == "kappa"]
-        far = 1e4 * max(row.tail for row in pulls)
-        cells.append(f"{100 * sum(tails) / len(tails):.1f}" if mode == "default" else f"{_flat(curves)} | {far:.1f}")
-        lines.append([name, f"{p:g}", *cells, f"{100 * lost:.2f}", f"**{off}** of {len(pulls)}" if off else "0"])
-    head = ["detector", "p, GeV/c", "width", "of", "mean", "of", tail, "lost, %", "off"]
-    return table(head, lines)
+    for mode, name in itertools.product(MODES, DETECTORS):
+        of_sample = [row for row in results.pulls if (row.mode, row.detector) == (mode, name)]
+        for title, slow in ((f"{MOMENTA[1]:g} to {MOMENTA[-1]:g}", False), (f"{MOMENTA[0]:g}", True)):
+            rows = [row for row in of_sample if (row.p < 0.15) == slow]
+            if rows:
+                widths, means = [row.width for row in rows], [row.mean for row in rows]
+                off = sum(not row.agrees for row in rows)
+                cells = [f"{min(widths):.3f} to {max(widths):.3f}", f"{min(means):+.3f} to {max(means):+.3f}"]
+                lines.append([_SAMPLES[mode], name, title, *cells, f"**{off}** of {len(rows)}" if off else "0"])
+    return table(["sample", "detector", "p, GeV/c", "width", "mean", "off"], lines)
 
 
-def _off_text(results: FitResults, slow: bool) -> str:
-    rows = [row for row in results.pulls if row.mode == "gaussian" and (row.p < 0.15) == slow]
-    off = [row for row in rows if not row.agrees]
-    text = f"{len(off)} of {len(rows)} pulls"
-    if off:
-        farthest = max(off, key=lambda row: abs(row.mean))
-        text += f", the mean farthest from 0 {farthest.mean:+.3f} ± {farthest.mean_error:.3f} ({_where(farthest)})"
-    if off and not slow:  # the optimum is not worked out for slow tracks
-        apart = max(off, key=lambda row: abs(row.mean - row.expected_mean))
-        text += f"; from the optimal estimate's mean they differ by at most {abs(apart.mean - apart.expected_mean):.3f}"
-    return text
+def _from_optimum(results: FitResults) -> str:
+    """Return how far means beyond the tolerance are from those of the optimal estimate, where it is worked out."""
+    off = [row for row in results.pulls if row.mode == "gaussian" and row.p > 0.15 and not row.agrees]
+    return f"{max(abs(row.mean - row.expected_mean) for row in off):.3f}" if off else "0"
+
+
+def _chi2_text(results: FitResults) -> str:
+    rows = [row for row in results.chi2 if row.mode == "gaussian"]
+    return f"{sum(not row.agrees for row in rows)} of {len(rows)} points"
 
 
 def _residual_text(results: FitResults) -> str:
@@ -550,15 +534,6 @@ def _residual_text(results: FitResults) -> str:
         if not row.agrees
     ]
     return f"{len(results.residuals)} pulls, {len(off)} beyond the tolerance" + (f" ({'; '.join(off)})" if off else "")
-
-
-def _where(row: Pull) -> str:
-    return f"{row.parameter}, {row.particle}, {row.cos_theta:g}" + ("" if row.agrees else " **(off)**")
-
-
-def _flat(rows: Sequence[Chi2]) -> str:
-    least = min(rows, key=lambda row: row.flat)
-    return f"{least.flat:.2g}" if least.agrees else f"**{least.flat:.1g} ({least.particle}, {least.cos_theta:g})**"
 
 
 def _width_table(rows: Sequence[Width]) -> str:
@@ -573,27 +548,6 @@ def _width_table(rows: Sequence[Width]) -> str:
         points = {(row.particle, row.p, row.cos_theta) for row in rows if row.detector == name}
         lines.append([name, len(points), *cells])
     return table(["detector", "points", "sigma(d_rho)", "sigma(d_z)", "sigma(p)"], lines)
-
-
-def _loss_table(results: FitResults) -> str:
-    lines = []
-    for p in dict.fromkeys(row.p for row in results.losses):
-        found = {row.loss: row for row in results.losses if row.p == p}
-        cells = []
-        for loss in LOSSES:
-            row = found[loss]
-            cells += [f"{row.width:.3f} ± {row.width_error:.3f}", f"{row.mean:+.3f} ± {row.mean_error:.3f}"]
-        lines.append([f"{p:g}", *cells])
-    return table(["p, GeV/c", *(f"{loss}: width | mean" for loss in LOSSES)], lines)
-
-
-def _side_table(results: FitResults) -> str:
-    lines = []
-    for p, (low, high) in itertools.product(dict.fromkeys(row.p for row in results.sides), SIDE_RANGES):
-        rows = [row for row in results.sides if row.p == p and low <= row.first + 1e-3 < high]
-        hits, wrong = (sum(getattr(row, name) for row in rows) for name in ("n", "wrong"))
-        lines.append([f"{p:g}", f"{low:g} to {high:g}", f"{hits:.0f}", f"{100 * wrong / hits:.4f}"])
-    return table(["p, GeV/c", "drift distance, mm", "hits", "wrong, %"], lines)
 
 
 def _known_table(results: FitResults) -> str:
@@ -619,7 +573,7 @@ def draw_pulls(found: Found) -> Picture:
             for name in QUANTITIES:
                 plot = next(plots)
                 _points(plot, [row for row in rows if (row.mode, row.parameter) == (mode, name)], quantity)
-                low, high = (0.85, 1.15) if quantity == "width" else (-0.2, 0.2)  # what fails by far is in the table
+                low, high = (0.85, 1.15) if quantity == "width" else (-0.2, 0.2)  # what fails by far is on file
                 plot.set(title=f"{name}, {mode}", ylabel=f"{quantity} of the pull", ylim=(low, high))
         entries = legend_entries(axes)
         picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=6)
