@@ -201,8 +201,19 @@ def test_each_part_can_be_imported_first(module: str) -> None:
     assert run.returncode == 0, run.stderr
 
 
+def loaded(program: str) -> set[str]:
+    """Return the packages that take long to import and that a program has imported at its end."""
+    program += "\nprint(*{'numpy', 'matplotlib', 'scipy', 'pandas', 'awkward'} & set(sys.modules), file=sys.stderr)"
+    run = subprocess.run([sys.executable, "-c", f"import sys\n{program}"], capture_output=True, text=True, check=True)
+    return set(run.stderr.split())
+
+
 def test_pictures_and_statistics_are_loaded_when_needed() -> None:
-    slow = "{'matplotlib', 'scipy', 'pandas', 'awkward'}"
-    program = f"import sys, cgemit; cgemit.run, cgemit.analytic; print(*{slow} & set(sys.modules))"
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert not run.stdout.split()
+    assert loaded("import cgemit") == set()
+    assert loaded("import cgemit; cgemit.run, cgemit.analytic") == {"numpy"}
+
+
+def test_help_waits_for_no_pictures_and_statistics() -> None:
+    begin = "import cgemit.__main__; from cgemit.cli.main import COMMANDS, main\n"
+    assert loaded(f"{begin}assert main(['--help']) == 0") == set()
+    assert loaded(f"{begin}for name in COMMANDS: assert main([name, '--help']) == 0") <= {"numpy"}
