@@ -25,7 +25,13 @@ SEED, BATCHES, BATCH = 11, 12, 5000
 #: Choices that the page leaves out; the numbers on file have all.
 LEFT_OUT = (
     "cos(theta) within ±0.6", "efficiency of cells 0.95", "field of +1 T", "`--field besiii` within ±0.6",
-    "`--field finite-solenoid`", "sides of wires given", '`foil="lattice"`',
+    "`--field finite-solenoid`", "sides of wires given", '`foil="lattice"`', "wires of 110 um",
+    "efficiency of cells 0.9", "`FitSettings(delta_strips=0)`", "both of them", "`besiii-idc`", "`besiii-idc-boss`",
+)  # fmt: skip
+#: Numbers of the study that the page shows.
+SHOWN = (
+    "x_residual_rms", "x_residual_core", "x_single_strip_fraction", "v_residual_sigma",
+    "sigma_dr", "sigma_dz", "sigma_p", "sigma_dr_idc", "sigma_dz_idc", "sigma_p_idc",
 )  # fmt: skip
 PARAMETERS = {"dr": "d_rho (um)", "dz": "d_z (mm)", "p": "p (MeV/c)"}
 
@@ -158,8 +164,8 @@ def effect(choice: Choice, found: np.ndarray, nominal: np.ndarray) -> Effect:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return a number of the study for each id, and the table of other choices."""
-    shown = {row.id: with_error(row.value, row.error) for row in found["study"].rows}
+    """Return the numbers of the study that are shown, and the table of other choices."""
+    shown = {row.id: with_error(row.value, row.error) for row in found["study"].rows if row.id in SHOWN}
     lines = []
     for row in found["choices"].rows:
         if row.title in LEFT_OUT:
