@@ -19,9 +19,11 @@ from cgemit.base.settings import SettingsData, SettingsError
 from cgemit.base.validate import InTurn
 from cgemit.base.version import __version__
 from cgemit.detector import Detector, load
+from cgemit.detector.export import stored_toml, write_files
+from cgemit.detector.files import place_map
 from cgemit.particles.gun import Gun, Guns, Source
 from cgemit.particles.samples import EventSample
-from cgemit.tables import Table, save_tables
+from cgemit.tables import Table
 from cgemit.tables.store import StoredTables, about_of
 
 
@@ -156,7 +158,7 @@ def record(
     **more
         Further entries.
     """
-    texts = {name: detector.to_toml() for name, detector in detectors.items()}
+    texts = {name: stored_toml(detector) for name, detector in detectors.items()}
     return {
         "format": FORMAT, "command": command or None, "versions": versions(),
         "configuration": configuration_of(texts, settings.to_dict(), source), "seed": int(seed), **more,
@@ -171,15 +173,10 @@ def write_record(entries: Mapping[str, Any], folder: Path) -> Path:
     return path
 
 
-def write_run(folder: Path, tables: Mapping[str, Table], entries: Mapping[str, Any], format: str = "npz") -> list[Path]:
-    """Write the tables of a run, its detector and its record to an empty folder; return the files."""
-    return [*save_tables(tables, folder, format=format), *write_about(folder, entries)]
-
-
-def write_about(folder: Path, entries: Mapping[str, Any]) -> list[Path]:
-    """Write the detector of a run and its record beside its tables; return the files."""
-    (folder / DETECTOR).write_text(entries["detectors"]["detector"], encoding="utf-8")
-    return [folder / DETECTOR, write_record(entries, folder)]
+def write_about(folder: Path, detectors: Mapping[str, Detector], entries: Mapping[str, Any]) -> list[Path]:
+    """Write the detectors of a run, by their role, and its record beside its tables; return the files."""
+    files = {DETECTOR if role == "detector" else f"{role}.toml": one for role, one in detectors.items()}
+    return [*write_files(folder, files), write_record(entries, folder)]
 
 
 class Run(NamedTuple, Generic[S]):
@@ -195,7 +192,7 @@ class Run(NamedTuple, Generic[S]):
 def read_run(
     folder: Path, kind: type[S], names: Collection[str], required: Collection[str], *, lazy: bool = False
 ) -> Run[S]:
-    """Read what `write_run` wrote.
+    """Read what `Result.save` or `run` wrote.
 
     Parameters
     ----------
@@ -217,7 +214,7 @@ def read_run(
     problems = Problems()
     entries = _read_record(folder, problems)
     tables = _read_tables(folder, names, entries.get("tables", required), problems, lazy=lazy)
-    detectors, gun, settings = _read_entries(entries, kind, problems)
+    detectors, gun, settings = _read_entries(folder, entries, kind, problems)
     if entries:
         problems += _strangers(tables, entries)
         copy = folder / DETECTOR
@@ -273,7 +270,7 @@ def _read_record(folder: Path, problems: Problems) -> dict[str, Any]:
 
 
 def _read_entries(
-    entries: Mapping[str, Any], kind: type[S], problems: Problems
+    folder: Path, entries: Mapping[str, Any], kind: type[S], problems: Problems
 ) -> tuple[dict[str, Detector], Source | Guns | None, S]:
     """Return what the entries of a record describe; problems are added."""
     if not entries:
@@ -284,7 +281,7 @@ def _read_entries(
         problems.note(f"{RECORD}: configuration", repr(entries["configuration"]), expected)
     if "detector" not in entries["detectors"]:
         problems.note(f"{RECORD}: detectors.detector", "nothing", "the detector of the run")
-    read = {name: _detector(str(text), name, problems) for name, text in entries["detectors"].items()}
+    read = {name: _detector(str(text), name, folder, problems) for name, text in entries["detectors"].items()}
     detectors = {name: detector for name, detector in read.items() if detector is not None}
     try:
         settings = kind.from_dict(entries["settings"])
@@ -337,10 +334,10 @@ def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> Probl
     return problems
 
 
-def _detector(text: str, name: str, problems: Problems) -> Detector | None:
-    """Return the detector of a complete TOML file; None, with problems added, if there are any."""
+def _detector(text: str, name: str, folder: Path, problems: Problems) -> Detector | None:
+    """Return the detector of a complete TOML file in a folder; None, with problems added, if there are any."""
     try:
-        return load(parse_toml(text))
+        return load(place_map(parse_toml(text), folder))
     except ValueError as error:
         problems.take(error, f"{RECORD}: detectors.{name}")
     return None
@@ -360,7 +357,7 @@ def table_meta(
     source : Source, Guns or None
         None: the particles were given.
     """
-    texts = {name: one.to_toml() for name, one in detectors.items()}
+    texts = {name: stored_toml(one) for name, one in detectors.items()}
     return {
         "version": __version__,
         "configuration": configuration_of(texts, settings.to_dict(), gun_data(source)),

@@ -11,14 +11,14 @@ from typing import Any
 
 from cgemit.base.files import new_folder
 from cgemit.chain.match import joined
-from cgemit.chain.record import Run, gun_data, read_run, record, write_run
+from cgemit.chain.record import Run, gun_data, read_run, record, write_about
 from cgemit.chain.settings import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.find.ckf import BEYOND
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.simulation.transport import transport_counts
-from cgemit.tables import SCHEMAS, Table, select_events
+from cgemit.tables import SCHEMAS, Table, save_tables, select_events
 from cgemit.tables.formats import check_format
 from cgemit.tables.store import StoredTables, about_of, column_of
 from cgemit.tables.table import what
@@ -233,8 +233,9 @@ class Result:
     ) -> list[Path]:
         """Write the run to a folder, from which `load` reads it back.
 
-        Every table in a file of its name, with tables.json beside them; detector.toml; and run.json, which holds what
-        the tables depend on: detectors, gun, seed, settings of all stages, versions, configuration hash.
+        Every table in a file of its name, with tables.json beside them; detector.toml, fit_detector.toml if the fit had
+        another one, and the field map if it was a file; and run.json, which holds what the tables depend on: detectors,
+        gun, seed, settings of all stages, versions, configuration hash.
 
         Parameters
         ----------
@@ -260,7 +261,9 @@ class Result:
         check_format(format)
         entries = self.entries(command)
         with new_folder(folder, overwrite=overwrite) as place:
-            names = [path.name for path in write_run(place, self.tables, entries, format)]
+            files = save_tables(self.tables, place, format=format)
+            files += write_about(place, detectors_of(self.detector, self.fit_detector), entries)
+            names = [path.name for path in files]
         return [Path(folder) / name for name in names]
 
     def entries(self, command: str = "") -> dict[str, Any]:

@@ -191,7 +191,8 @@ def run(
     chunk = workers.chunk
     tasks = [(job, first, min(chunk, n_events - first)) for first in range(0, max(n_events, 1), chunk)]
     other = None if job.fit_detector == job.detector else job.fit_detector
-    meta = table_meta(detectors_of(job.detector, other), job.settings, seed, job.source)
+    roles = detectors_of(job.detector, other)
+    meta = table_meta(roles, job.settings, seed, job.source)
     totals = Totals(progress, len(tasks))
 
     def result(tables: Mapping[str, Table]) -> Result:
@@ -216,7 +217,7 @@ def run(
             if writer.add({name: tables[name].with_meta(**meta) for name in TABLES if name in tables}):
                 check_disk(folder, writer.size, writer.events, n_events)
         writer.close()
-        write_about(folder, result(StoredTables(folder)).entries(out.command))
+        write_about(folder, roles, result(StoredTables(folder)).entries(out.command))
     return open_run(out.folder)
 
 

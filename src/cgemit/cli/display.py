@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         event(result, arguments.event).save(folder / "event")
         if figure is not None:
             save_page(figure, folder / "event.html", overwrite=True)
-        write_about(folder, result.entries(arguments.line))
+        write_about(folder, {"detector": detector}, result.entries(arguments.line))
     options.say(result)
     options.note(arguments, f"event: {arguments.output}/event.{'html' if arguments.html else 'png'}")
     return 0

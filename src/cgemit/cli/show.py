@@ -130,6 +130,7 @@ def _rows(columns: Sequence[tuple[str, str, str]], rows: Iterable[Mapping[str, A
 
 def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool, gdml: bool) -> None:
     from cgemit.base.files import SUMMARY, new_folder
+    from cgemit.detector.export import write_files
     from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 
     with new_folder(folder, overwrite=overwrite) as place:
@@ -137,7 +138,7 @@ def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overw
         draw_sides(detector).save(place / "r-z")
         if detector.cgem:
             draw_layers(detector).save(place / "layers")
-        Path(place / "detector.toml").write_text(detector.to_toml(), encoding="utf-8")
+        write_files(place, {"detector.toml": detector})
         if gdml:
             detector.to_gdml(place / "detector.gdml")
         Path(place / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -14,7 +14,8 @@ from xml.etree import ElementTree
 
 from cgemit.base.files import new_file, toml_text
 from cgemit.detector.build import library
-from cgemit.detector.field import KINDS, field_text, kind_key
+from cgemit.detector.field import KINDS, MapField, field_text, kind_key
+from cgemit.detector.files import OWN_MAP, write_field_map
 from cgemit.detector.keys import CENTRED, Key, keys_of, once, opened, required_of
 from cgemit.detector.material import DensityEffect, Material, elements
 from cgemit.detector.matter import ENDLESS, Slab, slabs
@@ -213,6 +214,36 @@ def materials_of(detector: Contents) -> list[Material]:
 def to_toml(detector: Contents) -> str:
     """Return a complete detector file as text."""
     return toml_text(to_dict(detector), in_place=("composition", "density_effect"))
+
+
+def stored_toml(detector: Contents) -> str:
+    """Return the detector file that `write_files` writes, the same in any folder."""
+    tables = to_dict(detector)
+    if (name := _map_beside(detector)) is not None:
+        tables["field"]["file"] = name
+    return toml_text(tables, in_place=("composition", "density_effect"))
+
+
+def write_files(folder: Path, detectors: Mapping[str, Contents]) -> list[Path]:
+    """Write detector files by name, with field maps beside them, so that the folder may be moved; return all files."""
+    written = []
+    for name, detector in detectors.items():
+        with new_file(folder / name, overwrite=True) as temporary:
+            temporary.write_text(stored_toml(detector), encoding="utf-8")
+        written.append(folder / name)
+        field, beside = detector.field, _map_beside(detector)
+        if beside is not None and (path := written[-1].with_name(beside)) not in written:
+            assert isinstance(field, MapField)
+            written.append(write_field_map(path, field.grid.columns, overwrite=True))
+    return written
+
+
+def _map_beside(detector: Contents) -> str | None:
+    """Return the name of the map beside stored detector files; None without a map, or with one of the program."""
+    field = detector.field
+    if not isinstance(field, MapField) or field.file.startswith(OWN_MAP):
+        return None
+    return f"field-{field.checksum}.npz"
 
 
 def _table(part: Any) -> dict[str, Any]:

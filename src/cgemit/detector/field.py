@@ -41,6 +41,14 @@ class Axis(NamedTuple):
         """The last point, mm."""
         return self.first + self.step * (self.points - 1)
 
+    @property
+    def values(self) -> Floats:
+        """All points, mm; `step` follows from the ends to the last bit, so that a written map keeps its checksum."""
+        values: Floats = self.first + self.step * np.arange(self.points, dtype=np.float64)
+        while (step := (values[-1] - values[0]) / (self.points - 1)) != self.step:
+            values[-1] = np.nextafter(values[-1], math.copysign(math.inf, self.step - step))
+        return values
+
 
 @dataclass(frozen=True, eq=False)
 class FieldGrid:
@@ -79,6 +87,13 @@ class FieldGrid:
 
     def __hash__(self) -> int:
         return hash(self.checksum)
+
+    @property
+    def columns(self) -> dict[str, Floats]:
+        """Axes (mm) and components (T) by name, as `write_field_map` takes them."""
+        axes, components = (CYLINDER, BOX)[len(self.axes) - 2]
+        values = {name: self.values[..., i] for i, name in enumerate(components)}
+        return {**{name: axis.values for name, axis in zip(axes, self.axes, strict=True)}, **values}
 
     def range_text(self) -> str:
         """Return where the map is valid."""
@@ -218,8 +233,9 @@ def _axis(name: str, column: Column, problems: list[Problem]) -> Axis | None:
         return None
     if not _check_finite(name, column, problems):
         return None
-    step = (values[-1] - values[0]) / (len(values) - 1)
-    even = values[0] + step * np.arange(len(values))
+    first = 0.0 if name == "r" and _from_0(values) else float(values[0])
+    step = (values[-1] - first) / (len(values) - 1)
+    even = first + step * np.arange(len(values))
     if not (step > 0 and np.abs(values - even).max() < _UNEVEN * step):
         steps = np.diff(values)
         problems.append(Problem(name, f"steps from {column.text(steps.min(), steps.max())}", "equal steps upward"))
@@ -229,7 +245,7 @@ def _axis(name: str, column: Column, problems: list[Problem]) -> Axis | None:
     elif not values[0] - _UNEVEN * step <= 0 <= values[-1]:
         given = column.text(values[0], values[-1])
         problems.append(Problem(name, given, "a range with 0 in it, where tracks begin"))
-    return Axis(name, 0.0 if name == "r" else float(values[0]), float(step), len(values))
+    return Axis(name, first, float(step), len(values))
 
 
 def _from_0(r: Floats) -> bool:
@@ -323,7 +339,7 @@ class MapField(Field):
     bz: float = field(
         metadata=key("field", "component along the beam at the origin (default: the map's)", -10.0, 10.0, derived=True)
     )  # T
-    file: str = field(metadata=key("text", "the map, .npz or .csv, or cgemit:besiii.npz"))
+    file: str = field(metadata=key("text", "the map, .npz or .csv, or cgemit:besiii.npz"), compare=False)
     checksum: str = field(metadata=key("text", "what the map's numbers must have (default: anything)", derived=True))
     tolerance: float = field(metadata=_TOLERANCE, default=1e-3)  # mm
     grid: FieldGrid  # as in the file, not scaled

@@ -80,7 +80,7 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     if is_preset(text):
         return Source(text, None, _preset_tables(text))
     path = Path(text) if folder is None else folder / text
-    if not _is_file(path):
+    if not is_file(path):
         known = ", ".join(preset_names())
         problem = Problem(
             "", _no_file(path, text), f"one of {known}, or a detector file",
@@ -95,7 +95,8 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
 
 
 _LONGEST = 300  # characters of a path in a message
-_MAPS = (".npz", ".csv")
+#: Endings of field maps.
+MAPS = (".npz", ".csv")
 
 
 def _quoted(text: str) -> str:
@@ -104,9 +105,9 @@ def _quoted(text: str) -> str:
 
 def _no_file(path: Path, text: str) -> str:
     """Return the text that is no file, and why."""
-    if text and _is_file(path, Path.is_dir):
+    if text and is_file(path, Path.is_dir):
         return f"{_quoted(text)}, a folder"
-    missing = path.suffix in (".toml", *_MAPS) or path.parent.name
+    missing = path.suffix in (".toml", *MAPS) or path.parent.name
     return _quoted(text) + (", which does not exist" if missing else "")
 
 
@@ -120,12 +121,22 @@ def is_preset(name: str) -> bool:
     return _is_preset(_DETECTORS, name)
 
 
+def is_field(name: str) -> bool:
+    """Return whether a preset field has this name.
+
+    Parameters
+    ----------
+    name : str
+    """
+    return _is_preset(_FIELDS, name)
+
+
 def _is_preset(folder: Traversable, name: str) -> bool:
     return bool(re.fullmatch(r"[\w-]{1,100}", name, re.ASCII)) and (folder / f"{name}.toml").is_file()
 
 
-def _is_file(path: Path, test: Callable[[Path], bool] = Path.is_file) -> bool:
-    """Tell whether there is such a file; a path that no file can have has none."""
+def is_file(path: Path, test: Callable[[Path], bool] = Path.is_file) -> bool:
+    """Return whether there is such a file; a path that no file can have has none."""
     try:
         return test(path)
     except (OSError, ValueError):  # too long a name, a null byte
@@ -201,12 +212,12 @@ def field_tables(source: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     if _is_preset(_FIELDS, text):
         return _field_of(text, tomllib.loads((_FIELDS / f"{text}.toml").read_text(encoding="utf-8")), None)
     path = Path(text)
-    if not _is_file(path):
+    if not is_file(path):
         expected = f"one of {', '.join(fields())}, a map (.npz, .csv), or a TOML file with a table [field]"
         raise DetectorError(
             text[:_LONGEST], [Problem("field", _no_file(path, text), expected, did_you_mean(text[:_LONGEST], fields()))]
         )
-    if path.suffix in _MAPS:
+    if path.suffix in MAPS:
         return {"kind": "map", "file": str(path.absolute())}
     try:
         return _field_of(text, parse_toml(read_text(path)), path.parent)

@@ -29,6 +29,7 @@ from cgemit.covariance.analytic import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.covariance.tracks import core_width, mean
 from cgemit.detector import Detector, load
+from cgemit.detector.export import write_files
 from cgemit.particles.species import HYPOTHESES, species
 from cgemit.reconstruction.candidates import finder_name
 from cgemit.reconstruction.fit import FitStatus
@@ -357,9 +358,9 @@ def save_scans(
     detectors = _detectors(scans)
     with new_folder(folder, overwrite=overwrite) as place:
         write_csv(place / "resolution.csv", columns_of(scans))
-        for number, (name, detector) in enumerate(detectors.items(), start=1):
-            which = f"-{number}-" + re.sub(r"[^\w.-]+", "-", name)[:60] if len(detectors) > 1 else ""
-            (place / f"detector{which}.toml").write_text(detector.to_toml(), encoding="utf-8")
+        names = [f"-{number}-" + re.sub(r"[^\w.-]+", "-", name)[:60] for number, name in enumerate(detectors, start=1)]
+        names = names if len(detectors) > 1 else [""]
+        write_files(place, {f"detector{n}.toml": one for n, one in zip(names, detectors.values(), strict=True)})
         resolutions(scans).save(place / "resolution")
         write_record(_record(scans, command), place)
         (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")

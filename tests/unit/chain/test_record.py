@@ -17,7 +17,7 @@ from cgemit.chain.record import RecordError, gun_data, gun_from, versions
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
 from cgemit.chain.settings import NotKeptError, Settings
-from cgemit.detector import load
+from cgemit.detector import load, write_field_map
 from cgemit.particles.gun import Gun, Guns, generate
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.transport import SimulateSettings
@@ -58,6 +58,26 @@ def test_a_run_of_given_particles_has_no_gun(tmp_path: Path) -> None:
     read = Result.load(tmp_path / "run")
     assert (read, read.gun, read.particles.first_event) == (result, None, 5)
     assert read.fit_detector is None
+
+
+@pytest.mark.parametrize("keeps", ["save", "output"])
+def test_a_run_in_a_field_of_a_file_may_be_moved(keeps: str, tmp_path: Path) -> None:
+    """Both maps come along: what stands in the folder names no other place."""
+    axes = {"r": np.linspace(0, 900, 4), "z": np.linspace(-1300, 1300, 5)}
+    for name, bz in (("measured.npz", -1.0), ("assumed.csv", -0.9)):
+        write_field_map(tmp_path / name, {**axes, "br": np.zeros((4, 5)), "bz": np.full((4, 5), bz)})
+    detectors = [load("besiii-cgem").with_field(tmp_path / name) for name in ("measured.npz", "assumed.csv")]
+    how = {"output": tmp_path / "run"} if keeps == "output" else {}
+    result = run(detectors[0], Gun("mu-", p=1, cos_theta=0), 2, fit_detector=detectors[1], **how)  # type: ignore[arg-type]
+    if keeps == "save":
+        result.save(tmp_path / "run")
+    moved = (tmp_path / "run").rename(tmp_path / "elsewhere")
+    for name in ("measured.npz", "assumed.csv"):
+        (tmp_path / name).unlink()
+    read = Result.load(moved)
+    assert (read.detector, read.fit_detector) == tuple(detectors)
+    assert [load(moved / f"{role}.toml") for role in ("detector", "fit_detector")] == detectors
+    assert not [path for path in moved.glob("*.[tj]*") if str(tmp_path) in path.read_text()]
 
 
 def test_the_record_says_everything(result: Result, saved: Path) -> None:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import cgemit as cg
 from cgemit.cli.main import main
 from cgemit.cli.sweep import add_workers, workers
+from cgemit.detector import load, write_field_map
 from cgemit.study import Evaluation, grid, sweep
 from cgemit.study.sweep.plan import PlanError, read_plan
 
@@ -159,6 +162,55 @@ def test_merging_reads_a_folder_that_was_moved_and_runs_nothing(tmp_path: Path) 
     table = pd.read_csv(tmp_path / "out/sweep.csv")
     assert table["foils"].tolist() == [3, 2]
     assert table["name"][0] == "own"
+
+
+def test_files_that_variants_name_come_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are relative to the plan; the folder of the results holds copies, under names of the plan where it can."""
+    study = tmp_path / "study"
+    (study / "thin").mkdir(parents=True)
+    axes = {"r": np.linspace(0, 900, 4), "z": np.linspace(-1300, 1300, 5)}
+    for name, bz in (("map.npz", -1.0), ("thin/map.csv", -0.9), ("other.npz", -0.8)):
+        write_field_map(study / name, {**axes, "br": np.zeros((4, 5)), "bz": np.full((4, 5), bz)})
+    (study / "other.npz").rename(tmp_path / "other.npz")
+    detector = 'base = "besiii-cgem-design"\n[cgem.L1]\npitch_x = "700 um"\n'
+    field = '[field]\nkind = "map"\nfile = "map.csv"\n'
+    (study / "detector.toml").write_text(detector)
+    (study / "thin/detector.toml").write_text(detector + field)
+    (study / "thin/field.toml").write_text(field)
+    (study / "plan.toml").write_text("""
+base = "besiii-cgem-design"
+evaluate = { samples = 2, p = 1.0 }
+variants = [
+    { base = "detector.toml", "cgem.L1.foils" = 2 }, { base = "thin/detector.toml" }, { base = "besiii-cgem" },
+    { field = "map.npz" }, { field = "../other.npz" }, { field = "thin/field.toml" }, { field = "besiii" },
+    { field = { kind = "map", file = "map.npz" } }, { base = "thin/detector.toml", "field.file" = "map.npz" },
+]
+""")
+    monkeypatch.chdir(tmp_path)
+    for output, part in (("whole", []), ("parts", ["--array-index", "0/1"])):
+        assert main(["sweep", "study/plan.toml", "-o", output, "--quiet", *part]) == 0
+    table = pd.read_csv("whole/sweep.csv")
+    assert table["base"].tolist()[1:4] == ["detector-1.toml", "thin/detector.toml", "besiii-cgem"]
+    assert table["field"].tolist()[4:8] == ["map.npz", "other.npz", "thin/field.toml", "besiii"]
+    hashes = [
+        load("study/detector.toml").with_overrides({"cgem.L1.foils": 2}),
+        load("study/thin/detector.toml"),
+        load("besiii-cgem"),
+        *(
+            DESIGN.with_field(f)
+            for f in ("study/map.npz", "other.npz", "study/thin/map.csv", "besiii", "study/map.npz")
+        ),
+        load("study/thin/detector.toml").with_overrides({"field.file": "study/map.npz"}),
+    ]
+    assert table["hash"].tolist()[1:] == [one.content_hash for one in hashes]
+    shutil.rmtree(study)
+    (tmp_path / "other.npz").unlink()
+    moved = (tmp_path / "parts").rename(tmp_path / "elsewhere")
+    assert not [
+        path for path in moved.rglob("*.*") if path.is_file() and str(tmp_path) in path.read_text(errors="replace")
+    ]
+    assert main(["sweep", "--merge", str(moved), "--quiet"]) == 0
+    assert (moved / "sweep.csv").read_bytes() == (tmp_path / "whole/sweep.csv").read_bytes()
 
 
 def test_problems_of_a_plan_are_all_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

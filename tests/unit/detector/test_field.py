@@ -277,6 +277,26 @@ def test_maps_are_read_as_written(tmp_path, design_files, suffix, columns):
     jsonschema.validate(tomllib.loads(detector.to_toml()), schema())
 
 
+def test_a_written_grid_keeps_its_checksum(tmp_path):
+    """Steps that are no multiples of a power of 2, and a first radius that is almost 0."""
+    rng = np.random.default_rng(1)
+    for number in range(30):
+        axes = [
+            np.linspace(low, high, n)
+            for low, high, n in zip(
+                [1e-9, -rng.uniform(500, 900)], rng.uniform(500, 900, 2), rng.integers(4, 40, 2), strict=True
+            )
+        ]
+        values = {
+            "r": axes[0],
+            "z": axes[1],
+            "br": np.zeros((len(axes[0]), len(axes[1]))),
+            "bz": rng.uniform(-1, 1, (len(axes[0]), len(axes[1]))),
+        }
+        grid = read_field_map(write_field_map(tmp_path / f"{number}.npz", values))
+        assert read_field_map(write_field_map(tmp_path / f"{number}-again.npz", grid.columns)).checksum == grid.checksum
+
+
 def test_units_of_a_map(tmp_path):
     columns = rz_columns()
     write_field_map(tmp_path / "mm.npz", columns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
@@ -11,18 +12,28 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cgemit.base.errors import Problem, Problems, did_you_mean
-from cgemit.base.files import new_file, toml_text
+from cgemit.base.files import SUMMARY, new_file, toml_text
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, build, entries
 from cgemit.chain.settings import Settings
 from cgemit.detector import load
-from cgemit.detector.files import is_preset
+from cgemit.detector.export import write_files
+from cgemit.detector.files import MAPS, is_field, is_file, is_preset
 from cgemit.study.sweep.evaluate import SWEPT, Evaluated, Evaluation, Seed, identity, result_columns
 from cgemit.study.sweep.result import Sweep
 from cgemit.study.sweep.run import sweep
-from cgemit.study.sweep.space import PlanError, Space, grid, latin_hypercube, listed, sobol
+from cgemit.study.sweep.space import (
+    NAMES_FILES,
+    PlanError,
+    Space,
+    grid,
+    latin_hypercube,
+    listed,
+    sobol,
+    with_files,
+)
 
-PLAN = "plan.toml"
+PLAN, BASE = "plan.toml", "detector.toml"
 #: Key of [evaluate] in a plan that was written beside results: the identity of the function that made them.
 FUNCTION = "function"
 
@@ -48,20 +59,29 @@ class PlanFile:
     def write(self, folder: str | os.PathLike[str]) -> None:
         """Write the plan to the folder of its output, from where it can be read again, also if that is moved.
 
-        A detector file comes along as detector.toml. The path to the file of a function is relative to the folder; the
-        function's identity serves to read its results without that file.
+        A detector file comes along as detector.toml, files that variants name come along under their names. The path to
+        the file of a function is relative to the folder; the function's identity serves to read its results without
+        that file.
         """
-        place, tables, texts = Path(folder), dict(self.tables), {}
+        place, tables, base = Path(folder), dict(self.tables), load(self.tables["base"])
+        detectors = {}
         if not is_preset(tables["base"]):
-            texts["detector.toml"] = load(tables["base"]).to_toml()
-            tables["base"] = "detector.toml"
+            detectors[BASE] = base
+            tables["base"] = BASE
+        for (key, name), path in getattr(self.arguments["space"], "files", {}).items():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            if path.suffix in MAPS:
+                with new_file(place / name, overwrite=True) as temporary:
+                    shutil.copyfile(path, temporary)
+            else:
+                detectors[name] = load(path) if key == "base" else base.with_field(path)
+        write_files(place, detectors)
         evaluation = self.arguments["evaluate"]
         if evaluation.function is not None:
             method = os.path.relpath(tables["evaluate"]["method"], place.resolve())
             tables["evaluate"] = {**tables["evaluate"], "method": method, FUNCTION: identity(evaluation.function)}
-        for name, text in {**texts, PLAN: toml_text(tables)}.items():
-            with new_file(place / name, overwrite=True) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+        with new_file(place / PLAN, overwrite=True) as temporary:
+            temporary.write_text(toml_text(tables), encoding="utf-8")
 
 
 def read_tables(
@@ -255,6 +275,7 @@ def read_plan(
     evaluate = read_evaluation(tables, (), problems, evaluated=evaluated)
     sample = build(Sample, tables.get("sample", {}), "sample", problems)
     draw = build(Draw, tables.get("draw", {}), "draw", problems)
+    files = _named_files(tables, Path(path).resolve().parent)
     space = _space(tables, sample, problems)
     known = _columns(evaluate)
     if draw and draw.quantity and known and draw.quantity not in known:
@@ -262,7 +283,9 @@ def read_plan(
         problems.note("draw.quantity", repr(draw.quantity), f"one of {', '.join(known)}", hint)
     problems.report(str(path), PlanError)
     assert draw is not None
-    return SweepPlan(tables, {"base": tables["base"], "space": space, "evaluate": evaluate}, draw)
+    assert space is not None
+    arguments = {"base": tables["base"], "space": replace(space, files=files), "evaluate": evaluate}
+    return SweepPlan(tables, arguments, draw)
 
 
 def _columns(evaluate: Evaluation | None) -> tuple[str, ...]:
@@ -270,6 +293,43 @@ def _columns(evaluate: Evaluation | None) -> tuple[str, ...]:
     if evaluate is None:  # it has problems of its own
         return (*result_columns("mc", SWEPT), "reached")
     return () if evaluate.function else result_columns(evaluate.kind, evaluate.quantities)
+
+
+def _named_files(tables: dict[str, Any], folder: Path) -> dict[tuple[str, str], Path]:
+    """Name the files that variants name as they are stored beside the plan; return where they are, by key and name.
+
+    A name is relative to the plan, else to the working directory. One that would leave the folder loses its folders.
+    """
+    found: dict[tuple[str, str], Path] = {}
+    taken: dict[str, Path | None] = dict.fromkeys((PLAN, BASE, "sweep.csv", SUMMARY))
+
+    def name_of(key: str, given: str) -> str:
+        path = next((one.resolve() for one in (folder / given, Path(given)) if is_file(one)), None)
+        if path is None or (is_preset if key == "base" else is_field)(given):
+            return given
+        inside = not Path(given).is_absolute() and ".." not in Path(given).parts
+        name = first = Path(given) if inside else Path(path.name)
+        number = 0
+        while taken.setdefault(str(name), path) != path:
+            number += 1
+            name = first.with_stem(f"{first.stem}-{number}")
+        found[key, str(name)] = path
+        return str(name)
+
+    def named(key: str, value: Any) -> Any:
+        if key not in NAMES_FILES:
+            return value
+        return (
+            [with_files(key, v, name_of) for v in value] if isinstance(value, list) else with_files(key, value, name_of)
+        )
+
+    def changed(variant: Any) -> Any:
+        return {key: named(key, v) for key, v in variant.items()} if isinstance(variant, Mapping) else variant
+
+    for group in tables.keys() & {"vary", "variants"}:
+        given = tables[group]
+        tables[group] = [changed(one) for one in given] if isinstance(given, list) else changed(given)
+    return found
 
 
 def _space(tables: Mapping[str, Any], sample: Sample | None, problems: Problems) -> Space | None:

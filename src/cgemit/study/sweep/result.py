@@ -20,6 +20,7 @@ from cgemit.base.version import PHYSICS
 from cgemit.chain.record import versions
 from cgemit.covariance.result import By
 from cgemit.detector import Detector
+from cgemit.detector.export import write_files
 from cgemit.detector.variants import variant_name
 from cgemit.study.sweep.evaluate import Evaluation, budgets
 from cgemit.study.sweep.space import Space, axis_of
@@ -45,12 +46,10 @@ class TidyResult(Shown):
         place = Path(folder)
         with new_file(place / table, overwrite=True) as temporary:
             write_csv(temporary, self.columns)
-        texts = {name: detector.to_toml() for name, detector in detectors.items()}
-        texts[SUMMARY] = json.dumps(summary, indent=2) + "\n"
-        for name, text in texts.items():
-            with new_file(place / name, overwrite=True) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-        return [place / name for name in (table, *texts)]
+        files = write_files(place, detectors)
+        with new_file(place / SUMMARY, overwrite=True) as temporary:
+            temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        return [place / table, *files, place / SUMMARY]
 
 
 #: Columns that say which variant a row is of and how it ended.

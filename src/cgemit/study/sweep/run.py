@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -23,10 +23,11 @@ from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers
 from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
+from cgemit.detector.variants import variant_name
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation, Function
 from cgemit.study.sweep.result import Sweep
-from cgemit.study.sweep.space import Changes, PlanError, Space, grid, key_problems, listed
+from cgemit.study.sweep.space import NAMES_FILES, Changes, PlanError, Space, grid, key_problems, listed, with_files
 
 FORMAT = "cgemit-sweep-2"
 #: Folder of the chunks in the output of a sweep.
@@ -323,7 +324,7 @@ def sweep(
         wrong.note("part", repr(part), "(i, n) with i from 0 to n - 1")
     start: Any = wrong.collect(load, base)
     chosen: Any = wrong.collect(_space, space)
-    named = wrong.collect(_with_bases, start, chosen.variants) if start is not None and chosen is not None else None
+    named = wrong.collect(_with_bases, start, chosen) if start is not None and chosen is not None else None
     bases = [(start, {}), *named] if named is not None else []
     wrong += key_problems(bases)
     wrong.report("sweep", PlanError)
@@ -359,22 +360,36 @@ def _space(space: Any) -> Space:
     return grid(space) if isinstance(space, Mapping) else listed(space)
 
 
-def _with_bases(base: Detector, variants: Sequence[Changes]) -> list[tuple[Detector, Changes]]:
+def _with_bases(base: Detector, space: Space) -> list[tuple[Detector, Changes]]:
     """Return the detector that each variant changes, in its field, and the rest of the changes."""
     made: dict[str, Detector] = {}
 
-    def detector_of(source: Any, field: Any) -> Detector:
-        name = repr((source, field))
-        if name not in made:
-            found = base if source is None else load(source)
-            made[name] = found if field is None else found.with_field(field)
+    def path_of(key: str, name: str) -> str:
+        return str(space.files.get((key, name), name))
+
+    def detector_of(own: Changes) -> Detector:
+        if (name := repr(own)) not in made:
+            placed = {key: with_files(key, value, path_of) for key, value in own.items()}
+            found = load(placed["base"]) if "base" in own else base
+            if "field" in own:
+                found = _named(found.with_field(placed["field"]), found, "field", own)
+            if "field.file" in own:
+                found = _named(found.with_overrides({"field.file": placed["field.file"]}), found, "field.file", own)
+            made[name] = found
         return made[name]
 
     pairs: list[tuple[Detector, Changes]] = []
-    for changes in variants:
-        rest = {key: value for key, value in changes.items() if key not in ("base", "field")}
-        pairs.append((detector_of(changes.get("base"), changes.get("field")), rest))
+    for changes in space.variants:
+        own = {key: changes[key] for key in NAMES_FILES if key in changes}
+        pairs.append((detector_of(own), {key: value for key, value in changes.items() if key not in own}))
     return pairs
+
+
+def _named(detector: Detector, before: Detector, key: str, changes: Changes) -> Detector:
+    """Return the detector under the name that follows from the change as it was given, wherever its file is."""
+    value = changes[key]
+    text = value if isinstance(value, Mapping) or key != "field" else Path(value).stem
+    return replace(detector, name=variant_name(before.name, {key: text}))
 
 
 def _task(pairs: Sequence[tuple[Detector, Changes]], evaluation: Evaluation) -> Task:

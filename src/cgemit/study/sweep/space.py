@@ -7,9 +7,10 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,9 @@ class Space:
         What each variant changes.
     axes : mapping of str to tuple
         Of a grid: the values of each key; the last key changes fastest.
+    files : mapping of (str, str) to path
+        Where files are that values of `base` or `field` name, by key and name; others are relative to the working
+        directory.
 
     Examples
     --------
@@ -64,6 +68,7 @@ class Space:
     kind: str
     variants: tuple[Changes, ...]
     axes: Mapping[str, tuple[Any, ...]]
+    files: Mapping[tuple[str, str], Path] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -72,6 +77,17 @@ class Space:
 
     def __len__(self) -> int:
         return len(self.variants)
+
+
+#: Keys of variants whose values may name files.
+NAMES_FILES = ("base", "field", "field.file")
+
+
+def with_files(key: str, value: Any, renamed: Callable[[str, str], str]) -> Any:
+    """Return a value of one of these keys with its name of a file, that of a map in a table [field] too, renamed."""
+    if isinstance(value, Mapping) and isinstance(value.get("file"), str):
+        return {**value, "file": renamed(key, value["file"])}
+    return renamed(key, value) if isinstance(value, str) else value
 
 
 def grid(axes: Mapping[str, Sequence[Any]]) -> Space:
