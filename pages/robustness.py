@@ -24,9 +24,8 @@ FAR = 8.0  # errors
 
 #: Scenarios in the table of the page.
 SHOWN = (
-    "plain", "end plates", "layers missing", "one CGEM layer, inner", "drift chamber only", "CGEM only", "noise",
-    "much noise", "wrong cluster", "loopers", "slow muons", "slow pions 50", "slow pions 65", "K_S pions", "electrons",
-    "kaons", "protons",
+    "plain", "end plates", "layers missing", "one CGEM layer, inner", "drift chamber only", "CGEM only",
+    "much noise", "wrong cluster", "loopers", "slow pions 50", "slow pions 65", "K_S pions", "electrons", "protons",
 )  # fmt: skip
 
 
