@@ -9,6 +9,7 @@ from pages.page import Found, Page, table
 
 #: What ends the meanings of the columns of a vector.
 AXIS = r", [xyz]$"
+LEAST_FAMILY = 3  # columns of a prefix that share a row
 
 
 def blocks(found: Found) -> dict[str, str]:
@@ -25,15 +26,34 @@ def _section(kind: str, columns: tuple[Column, ...]) -> str:
 
 
 def _groups(columns: tuple[Column, ...]) -> list[list[Column]]:
-    """Return runs of columns that differ in their name and in a last word x, y or z of their meaning."""
+    """Return columns that share a row: vectors, and families of a prefix such as `err_dr`, `err_phi0`, ..."""
+    families: dict[str | tuple[str, ...], list[Column]] = {}
+    for column in columns:
+        families.setdefault(_family(column), []).append(column)
     groups: list[list[Column]] = []
     for column in columns:
         last = groups[-1][-1] if groups else None
-        if last and re.search(AXIS, column.doc) and _alike(last) == _alike(column):
+        family = families[_family(column)]
+        if len(family) >= LEAST_FAMILY:
+            groups += [family] if column is family[0] else []
+        elif last and re.search(AXIS, column.doc) and _alike(last) == _alike(column):
             groups[-1].append(column)
         else:
             groups.append([column])
     return groups
+
+
+def _family(column: Column) -> str | tuple[str, ...]:
+    """Return what columns of a family have in common: prefix, meaning without the suffix, type."""
+    prefix, _, suffix = column.name.partition("_")
+    meaning = _without(suffix, column.doc)
+    if not suffix or meaning == column.doc or re.search(AXIS, column.doc):
+        return column.name
+    return prefix, meaning, str(column.dtype), str(column.shape), str(column.links)
+
+
+def _without(suffix: str, doc: str) -> str:
+    return re.sub(rf"(?<![A-Za-z0-9]){re.escape(suffix)}(?![A-Za-z0-9])", "…", doc)
 
 
 def _alike(column: Column) -> tuple[object, ...]:
@@ -44,10 +64,14 @@ def _row(group: list[Column]) -> list[str]:
     column = group[0]
     names = ", ".join(f"`{one.name}`" for one in group)
     links = [column.links] if isinstance(column.links, str) else list(dict.fromkeys(column.links or ()))
+    family = _family(column)
     meaning = re.sub(AXIS, "", column.doc) if len(group) > 1 else column.doc
+    if len(group) > 1 and isinstance(family, tuple):
+        meaning = family[1]
     meaning += f" (row of {' or '.join(f'`{link}`' for link in links)})" if links else ""
     shape = f" ({', '.join(map(str, column.shape))})" if column.shape else ""
-    return [names, f"{column.dtype}{shape}{f', {column.unit}' * bool(column.unit)}", meaning]
+    unit = f", {column.unit}" if column.unit and len({one.unit for one in group}) == 1 else ""
+    return [names, f"{column.dtype}{shape}{unit}", meaning]
 
 
 PAGE = Page("data_model", "docs/data_model.md", "no time", blocks=blocks)

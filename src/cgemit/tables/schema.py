@@ -109,7 +109,7 @@ def _helix(pivot: str) -> tuple[Column, ...]:
     )
 
 
-_HYPOTHESIS = whole("hypothesis", "particle whose mass the fit assumed, number of the Particle Data Group, unsigned")
+_HYPOTHESIS = whole("hypothesis", "PDG number, unsigned, of the particle whose mass the fit assumed")
 
 TRACKS = (
     EVENT,
@@ -121,24 +121,24 @@ TRACKS = (
     whole("ndf", "number of degrees of freedom"),
     whole("n_clusters", "number of clusters used; an XV point counts twice"),
     whole("n_wires", "number of wire hits used"),
-    whole("n_outliers", "number of hits of the candidate left out: outliers, and hits that the track does not meet"),
+    whole("n_outliers", "number of hits left out: outliers, and hits that the track does not meet"),
     whole("iterations", "number of iterations"),
     column_of("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
     *(real(f"err_{name}", unit, f"standard deviation of {name}") for name, unit in PARAMETERS.items()),
-    column_of("i1", "displaced", "", "1 if it misses the beam line: the fit may correct for matter not crossed"),
+    column_of("i1", "displaced", "", "1 if the track misses the beam line: the fit may correct for matter not crossed"),
 )
 
 MATCHES = (
     EVENT,
     link("track", "the track", "tracks"),
-    whole("particle", "number of the particle within its event that it and its daughters left most hits of; -1 none"),
-    real("purity", "", "share of the candidate's hits that it left itself, before any decay; NaN without hits"),
+    whole("particle", "number of the particle that left most hits, with its daughters; -1 none"),
+    real("purity", "", "share of the candidate's hits that the particle left itself; NaN without hits"),
     real(
         "efficiency",
         "",
-        "share of its clusters and wire hits of the first half turn that the candidate has; NaN without one",
+        "share of the particle's hits of the first half turn that the candidate has; NaN without hits",
     ),
-    column_of("i1", "decayed", "", "1 if it decayed in flight, 0 if not; -1 without a particle"),
+    column_of("i1", "decayed", "", "1 if the particle decayed in flight, 0 if not; -1 without a particle"),
     *_comparison(),
 )
 
@@ -157,9 +157,9 @@ RESIDUALS = (
 
 START_TIMES = (
     EVENT,
-    real("start_time", "ns", "by how much the drift times of the event are too long; 0 where no track gives it"),
-    real("err_start_time", "ns", "its standard deviation; where no track gives it, that of the given one, or NaN"),
-    whole("n_tracks", "number of candidates that gave it"),
+    real("start_time", "ns", "common excess of all drift times of the event; 0 without a track"),
+    real("err_start_time", "ns", "its standard deviation; without a track that of the given start time, or NaN"),
+    whole("n_tracks", "number of candidates used"),
     column_of("i1", "status", "", "how the fit ended (StartTimeStatus; 0 is good)"),
 )
 
@@ -181,7 +181,7 @@ STATES = (
     real(
         "residual",
         "mm",
-        "of a hit: measured minus predicted by the track, fitted with it unless it was left out; NaN elsewhere",
+        "of a hit: measured minus predicted by the track, fitted with it unless left out; NaN elsewhere",
     ),
     real("err", "mm", "standard deviation of the residual"),
     real("pull", "", "residual / err"),
@@ -192,7 +192,7 @@ VERTICES = (
     EVENT,
     link("first", "first track of the pair", "tracks"),
     link("second", "second track of the pair", "tracks"),
-    *(whole(f"{name}_pdg", f"particle whose mass the {name} track has, unsigned") for name in ("first", "second")),
+    *(whole(f"{name}_pdg", f"PDG number, unsigned, of the mass of the {name} track") for name in ("first", "second")),
     *point("", "vertex"),
     Column("cov", np.dtype("f8"), "mm2", "covariance of x, y, z", shape=(3, 3)),
     *(real(f"err_{axis}", "mm", f"standard deviation of {axis}") for axis in "xyz"),
@@ -212,7 +212,7 @@ _SHEET = whole("sheet", "sheet of the layer's read-out")
 _PARTICLES = (
     EVENT,
     _PARTICLE,
-    whole("pdg", "particle number of the Particle Data Group"),
+    whole("pdg", "PDG number"),
     column_of("i1", "charge", "e", "electric charge"),
     real("mass", "GeV/c2", "mass"),
     *point("", "vertex"),
@@ -220,18 +220,18 @@ _PARTICLES = (
     column_of("i1", "status", "", "how its transport ended (TransportStatus; 0 before simulation)"),
 )
 
-_DAUGHTER = whole("daughter", "who left it: 0 the particle itself, k the k-th charged daughter of its decays")
+_DAUGHTER = whole("daughter", "left by: 0 the particle itself, k its k-th charged daughter")
 _HALF_TURN = column_of(
-    "i1", "half_turn", "", "half turn: 0 the first outward one, odd ones inward; -1 the inward path before it"
+    "i1", "half_turn", "", "0 the first outward half turn, odd ones inward; -1 the inward path before it"
 )
 
 _DECAYS = (
     EVENT,
     _PARTICLE,
-    whole("daughter", "number of this charged daughter among those of the particle, from 1"),
-    whole("parent", "what decayed: 0 the particle itself, k its k-th charged daughter"),
-    whole("pdg", "the daughter's number of the Particle Data Group"),
-    whole("mode", "decay mode of the parent, counted from 0 as in `cgemit.particles.species.DECAYS`"),
+    whole("daughter", "number of the charged daughter, from 1"),
+    whole("parent", "decayed: 0 the particle itself, k its k-th charged daughter"),
+    whole("pdg", "PDG number of the daughter"),
+    whole("mode", "decay mode of the parent, from 0 (`cgemit.particles.species.DECAYS`)"),
     *point("", "point of the decay"),
     real("time", "ns", "time of the decay since the particle left its vertex"),
     *(real(f"parent_p{axis}", "GeV/c", f"momentum of the parent at its decay, {axis}") for axis in "xyz"),
@@ -262,7 +262,7 @@ _STEPS = (
     _PARTICLE,
     whole("layer", "CGEM layer, 0 innermost"),
     *point("", "middle of the step"),
-    *(real(f"d{axis}", "mm", f"end minus begin of the step, {axis}; 0 for an ionization cluster") for axis in "xyz"),
+    *(real(f"d{axis}", "mm", f"end minus begin of the step (0 for an ionization cluster), {axis}") for axis in "xyz"),
     real("energy", "keV", "deposited energy"),
     whole("n_electrons", "electrons of ionization"),
     column_of("i1", "parent", "", "source: 0 the particle itself, 1 a delta electron"),
@@ -273,7 +273,7 @@ _STEPS = (
 _WIRE_TRUTHS = (
     EVENT,
     _PARTICLE,
-    whole("layer", "drift-chamber layer as the experiment numbers it (0..42)"),
+    whole("layer", "drift-chamber layer, experiment's number (0..42)"),
     whole("wire", "cell of the layer"),
     real("doca", "mm", "signed distance of closest approach to the wire"),
     column_of("i1", "side", "", "sign of doca, +1 or -1"),
@@ -299,7 +299,7 @@ _DIGIS = (
 
 _WIRE_HITS = (
     EVENT,
-    whole("layer", "drift-chamber layer as the experiment numbers it (0..42)"),
+    whole("layer", "drift-chamber layer, experiment's number (0..42)"),
     whole("wire", "cell of the layer"),
     whole("gid", "wire number in the whole drift chamber"),
     real("drift", "mm", "measured drift distance"),
@@ -309,7 +309,7 @@ _WIRE_HITS = (
     link("wire_truth", "the cell crossing it comes from", "wire_truths"),
 )
 
-_NOT_MEASURED = "NaN where the cluster's view does not measure it"
+_NOT_MEASURED = "NaN if not measured"
 _CLUSTERS = (
     EVENT,
     whole("layer", "CGEM layer, 0 innermost"),
@@ -333,15 +333,15 @@ _CLUSTERS = (
     link("v_cluster", "the V cluster of an XV cluster", "clusters"),
     link("truth", "crossing with the largest contribution", "truths"),
     whole("n_truths", "number of crossings that contributed"),
-    column_of("i1", "method", "", "0 position of the strips, 1 position with an error that holds at any incidence"),
-    real("score", "", "ln(likelihood ratio) that X and V of an XV cluster are of one particle, from charge and time"),
+    column_of("i1", "method", "", "0 strip position, 1 position with an error that holds at any incidence"),
+    real("score", "", "ln(likelihood ratio) that X and V of an XV cluster are of one particle"),
 )
 
 
 _CANDIDATES = (
     EVENT,
     whole("candidate", "number of the candidate within its event"),
-    whole("pdg", "particle whose mass is assumed, number of the Particle Data Group, unsigned"),
+    whole("pdg", "PDG number, unsigned, of the particle whose mass is assumed"),
     real("mass", "GeV/c2", "its mass"),
 )
 
@@ -367,11 +367,11 @@ _KINDS = (
     ("digis", _DIGIS, "one fired strip, or one position measured without strips"),
     ("wire_hits", _WIRE_HITS, "one fired cell"),
     ("clusters", _CLUSTERS, "one X, V or XV cluster"),
-    ("candidates", _CANDIDATES, "one set of hits that is taken for one track"),
+    ("candidates", _CANDIDATES, "one set of hits of one track"),
     ("candidate_hits", _CANDIDATE_HITS, "one hit of a candidate"),
-    ("searches", _SEARCHES, "one event and how the search for its tracks ended, if the finder tells"),
-    ("refined_clusters", _CLUSTERS, "the row of the same number of `clusters`, corrected by the fitted tracks"),
-    ("refined_wire_hits", _WIRE_HITS, "the row of the same number of `wire_hits`, corrected by the fitted tracks"),
+    ("searches", _SEARCHES, "one event and how the search for its tracks ended"),
+    ("refined_clusters", _CLUSTERS, "a row of `clusters`, corrected by the fitted tracks"),
+    ("refined_wire_hits", _WIRE_HITS, "a row of `wire_hits`, corrected by the fitted tracks"),
     ("tracks", TRACKS, "one candidate, with one mass, and the track fitted to it"),
     ("matches", MATCHES, "one track and its particle"),
     ("residuals", RESIDUALS, "one hit of a fitted track"),
