@@ -44,7 +44,8 @@ def rows_of(cls: type[Any]) -> Rows:
     for field, kind in kinds_of(cls).items():
         value = getattr(settings, field)
         default = f'"{value.name}"' if isinstance(kind, Choice) else shown(value)
-        cells = [f"`{field}`", default, expected(kind), about.get(field, "")]
+        allowed = "" if kind is bool else expected(kind).removeprefix("one of ")
+        cells = [f"`{field}`", default, allowed, about.get(field, "")]
         rows.append([cell.replace("|", r"\|") for cell in cells])
     return rows
 

@@ -65,7 +65,7 @@ class BinaryReadout(Readout):
     gain : float
         Electrons on the anode per electron of ionization.
     threshold : float
-        fC; a truth whose total charge is smaller fires nothing.
+        fC, least charge of a crossing that fires strips.
 
     Raises
     ------
@@ -99,9 +99,9 @@ class GaussianReadout(Readout):
     Attributes
     ----------
     sigma_x : float
-        mm, error of X = r_readout dphi. Default: RMS of the binary read-out for 1 GeV/c muons, 5 mm gap.
+        mm, error of X. Default: RMS of the binary readout for muons of 1 GeV/c.
     sigma_v : float
-        mm, error of V. Default: the same, pitch/sqrt(24) at 0.65 mm.
+        mm, error of V. Default: pitch/sqrt(24) at 0.65 mm.
     gain : float
         Electrons on the anode per electron of ionization.
 
@@ -187,7 +187,7 @@ class ProjectionReadout(Readout):
     noise : float
         fC, of a strip.
     valley : float
-        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
+        A strip with less than this share of the charge of both adjacent maxima divides a cluster. 0: none does.
     estimator : str
         Position of a cluster, always ``"centroid"``.
 
@@ -315,9 +315,9 @@ class AnalogReadout(Readout):
     Attributes
     ----------
     gain : float
-        Mean number of electrons on the anode per electron of ionization whose avalanche reaches it.
+        Mean electrons on the anode per electron of ionization whose avalanche reaches it.
     polya : float
-        Parameter theta of the Polya distribution of the gain; its relative variance is 1/(1 + theta).
+        Parameter theta of the Polya distribution of the gain (relative variance 1/(1 + theta)).
     gain_fluctuation : bool
         Whether the gain fluctuates.
     survival : float
@@ -325,37 +325,36 @@ class AnalogReadout(Readout):
     first_gain : float
         Electrons behind the first foil per electron that entered it.
     diffusion : float
-        Factor on all diffusion widths, up to 10; 0 switches diffusion off.
+        Factor on all diffusion widths.
     lorentz : bool
         Whether the Lorentz angle acts.
     holes : bool
         Whether electrons move to the centre of the nearest hole of the first foil.
     share_spread : float
-        Standard deviation of ln(charge on X / charge on V) from crossing to crossing; both views have half on average.
+        Standard deviation of ln(charge on X / charge on V) of a crossing.
     neighbour : float
-        Share of a strip's current that each neighbour sees (capacitive coupling).
+        Share of a strip's current that each neighbour receives (capacitive coupling).
     second_neighbour : float
-        The same for the strips beyond the neighbours.
+        The same for the next strips.
     threshold_x, threshold_v : float
         fC, least amplitude of a strip that is read out.
     noise : float
         fC, of an amplitude.
     jitter : float
-        ns, of the time, beside what noise makes.
+        ns, of the time, in addition to the effect of noise.
     missing : int
-        Strips that may be missing within a cluster.
+        Strips that may be missing in a cluster.
     edge : float
-        Outermost strips with a smaller share of their neighbour's charge do not enter line fits of ``"micro-tpc"``.
+        Outermost strips with a smaller share of their neighbour's charge are left out of ``"micro-tpc"`` fits.
     valley : float
-        A strip with less than this share of the charge of both maxima beside it divides a cluster; 0: none does.
+        A strip with less than this share of the charge of both adjacent maxima divides a cluster. 0: none does.
     time_margin : float
-        ns; strips whose drift time is below 0 or above that of the drift gap by more than this are left out.
+        ns; strips are left out if their drift time is this far outside of the range of the drift gap.
     estimator : str
-        Position of a cluster without track: ``"centroid"`` of the charge, ``"micro-tpc"``, a line fit through the drift
-        gap (clusters without one have their centroid), or ``"merged"``, a line through centroid and mean height of the
-        charge, with the slope of a straight track from the beam line and of the strips.
+        Position of a cluster without track: ``"centroid"`` of the charge, ``"micro-tpc"`` (line fit through the drift
+        gap), or ``"merged"`` (line through the centroid with the slope of a track from the beam line).
     second_pass : bool
-        Whether clusters on fitted tracks are made again with the angle of the track, and the tracks are fitted again.
+        Whether clusters on fitted tracks are made again with the angle of the track.
     saturation : float
         fC, largest charge that the chip measures.
 
@@ -417,8 +416,7 @@ class Apv25Readout(AnalogReadout):
     Attributes
     ----------
     random_neighbours : bool
-        Whether strips induce charge on their neighbours at random, with probability, share and time that depend on
-        their charge, as PARSIFAL has them for a triple GEM; beside `neighbour`.
+        Whether strips induce charge on their neighbours at random, as in PARSIFAL; in addition to `neighbour`.
 
     Examples
     --------

@@ -44,51 +44,39 @@ class FitSettings(SettingsData):
     Attributes
     ----------
     cluster_errors : str
-        ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters
-        table, from the number of strips and the layer alone.
+        ``"track"``: from the number of strips and the incidence of the track. ``"cluster"``: as in the clusters table.
     screening : str or None
-        Screening of nuclei in multiple scattering (``SimulateSettings.screening``). None: the simulated one, or
-        ``"wentzel"`` without a simulation.
+        Screening of nuclei. None: as simulated, or ``"wentzel"`` without a simulation.
     loss : str
-        Energy loss subtracted, with its variance (docs/methods/matter.md). ``"truncated"``: of the collisions within
-        the core of a momentum measurement. ``"mean"``: of all collisions. ``"most_probable"``: Landau's most probable
-        loss, and the Gaussian as wide as his distribution at half maximum.
+        Energy loss that is subtracted: ``"truncated"`` for the core of a momentum measurement, ``"mean"`` of all
+        collisions, or Landau's ``"most_probable"`` one (docs/methods/matter.md).
     radiation : bool
-        Whether the energy loss of electrons and positrons includes bremsstrahlung, mean and variance. False: collisions
-        only, as in fits with the electron hypothesis elsewhere (docs/methods/matter.md).
+        Whether the energy loss of electrons and positrons includes bremsstrahlung (docs/methods/matter.md).
     matter : bool
-        Whether tracks scatter and lose energy in the fit. False: helices or tracks in the field alone, as the first
-        fits of many experiments assume (BES3's MdcTrack).
+        Whether tracks scatter and lose energy in the fit (not in BES3's MdcTrack).
     start_radius : float
-        Distance from the beam line, mm, at which the particles begin: they have not crossed the matter inside of it,
-        unless they flew inward first, which a negative value says; it then counts twice. The helix at the origin
-        describes the flight at the begin, continued in vacuum. A column `start_radius` of the candidates, where there
-        is one, comes before (`cgemit.helix.start_radius` makes it from vertices; docs/methods/robustness.md).
+        Distance from the beam line, mm, at which the particles begin: the matter inside is not crossed, or twice after
+        a flight inward (negative value). A column `start_radius` of the candidates has precedence
+        (docs/methods/robustness.md).
     residuals : bool
-        Whether the fit makes the residuals table: every hit, outliers included, against the track fitted without it.
+        Whether the fit makes the residuals table: every hit against the track fitted without it.
     states : tuple of float or str
-        Surfaces at which the states table gives track and covariance, in any field: radii in mm, ``"origin"``,
-        ``"beam_line"`` (closest approach), ``"beam_pipe"`` (inner surface), ``"hits"`` (every measurement). Empty: no
-        such table.
+        Surfaces of the states table (docs/methods/states.md). Empty: no such table.
     hypothesis : str, tuple of str or None
-        Particles whose masses the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"``, ``"p"``, or ``"all"`` five: every
-        candidate gets a track for each, in this order. None: one track, with the candidate's own mass.
+        Particles whose masses the fit assumes; every candidate gets a track for each. None: the candidate's own mass.
     max_iterations : int
-        A fit that has not converged after this many iterations stops.
+        Largest number of iterations.
     tolerance : float
-        The fit has converged when no parameter moves by more than this many of its standard deviations.
+        The fit has converged when no parameter moves by more, in standard deviations.
     least_width : float
-        Least spread, in strip pitches, of the position that a cluster's size allows; it accounts for the error of the
-        track's incidence. Without it, a narrow allowed interval would count as a perfect measurement.
+        Least spread, in strip pitches, of the position that a cluster's size allows.
     delta_strips : float
         Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. Sets the
-        weight of clusters that are longer than the incidence predicts. 0: there are no delta electrons.
+        weight of clusters that are longer than the incidence predicts.
     kinks : bool
-        Whether the reference trajectory of a slow track is scattered at every layer as its hits show, instead of a
-        helix that only loses energy. The linearisation then holds around the scattered path.
+        Whether a slow track is linearised about its scattered path.
     outlier_pull : float
-        A hit this many standard deviations from the track fitted without it is left out, the farthest first, and taken
-        back once it is closer. 0: every hit is used.
+        A hit this many standard deviations from the track fitted without it is left out. 0: every hit is used.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior.
 

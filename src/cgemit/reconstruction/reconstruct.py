@@ -43,7 +43,7 @@ def reconstruct(
     refinements : sequence of Refinement
         What fitted tracks correct of their hits; `refinements` makes them from settings. They act in this order.
     find_again : bool
-        Whether tracks are found a second time with the hits that the first tracks correct.
+        Whether tracks are found a second time with the corrected hits.
     digis : Table or None
         Strips of the clusters, which `ClusterDirection` needs.
 

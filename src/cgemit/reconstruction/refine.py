@@ -44,15 +44,15 @@ class RefineSettings(SettingsData):
     Attributes
     ----------
     drift_times : str
-        ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
-        wire, which are subtracted. A run with ``digitize.wire_times = "raw"`` takes ``"raw"``.
+        ``"raw"``: drift times also hold flight and propagation along the wire, which are subtracted. A run with
+        `digitize.wire_times = "raw"`` takes ``"raw"``.
     start_time : str
-        ``"given"``: drift times count from the start of the event. ``"fitted"``: the offset of each event is fitted
-        from its tracks, and the table ``start_times`` has it (docs/methods/reconstruct.md).
+        ``"fitted"``: a common offset of the drift times of each event is fitted from its tracks
+        (docs/methods/reconstruct.md).
     start_time_error : float or None
-        Prior uncertainty of the given start time, ns; only with a fitted one. None: no prior.
+        Prior uncertainty of the start time, ns; only with a fitted one. None: no prior.
     find_again : bool
-        Whether tracks are found a second time with the hits that the first tracks correct.
+        Whether tracks are found a second time with the corrected hits.
 
     Raises
     ------

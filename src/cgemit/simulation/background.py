@@ -41,21 +41,20 @@ class BackgroundSettings(SettingsData):
     Attributes
     ----------
     level : str
-        ``"off"``, or a table ``[background.LEVEL]`` of the detector. BESIII detectors have ``"bes2009"``, cells of the
-        drift chamber from random triggers, and clusters of the CGEM at rates extrapolated from them, and
-        ``"bes2026"``, with noise of single strips as well.
+        ``"off"``, or a table `[background.LEVEL]` of the detector: BESIII has ``"bes2009"`` and ``"bes2026"``
+        (docs/methods/background.md).
     factor : float
-        All rates are multiplied by it, up to 100. Times `cells` it is a share, up to 0.6.
+        Factor on all rates. Times `cells` it is at most 0.6.
     cells : float
-        If above 0: share of the cells of every layer that fire within the drift time, instead of the level's rates.
+        If above 0: share of the cells that fire within the drift time, instead of the level's rates.
     clumps : bool
-        Whether cells fire in clumps of neighbours, as measured, or each for itself.
+        Whether cells fire in runs of neighbours, as measured.
     events : str
-        Folder of a run whose digis and wire hits are mixed in, a random event of it in each event; empty: none.
+        Folder of a run whose events are mixed in at random; empty: none.
     offset : (float, float)
         ns, range of the time of these events, uniform.
     start_time : float
-        ns, standard deviation of the start time of the event: all drift times of an event are wrong by the same number.
+        ns, standard deviation of a common error of all drift times of an event.
 
     Raises
     ------

@@ -123,13 +123,12 @@ class DigitizeSettings(SettingsData):
     Attributes
     ----------
     readout : Readout
-        Of the CGEM layers, such as ``BinaryReadout(gain=8000)``. Its name alone, such as ``"gaussian"``, stands for
-        the read-out with its defaults.
+        Readout of the CGEM layers: a name, or an object such as ``BinaryReadout(gain=8000)``.
     reveal_sides : bool
-        Whether wire hits tell on which side of the wire the particle passed.
+        Whether wire hits hold the true side of the wire.
     wire_times : str
-        ``"corrected"``: drift times hold the drift alone. ``"raw"``: also time of flight and propagation along the
-        wire, for which the reconstruction corrects (docs/methods/digitize.md).
+        ``"corrected"``: drift times hold the drift alone. ``"raw"``: also flight and propagation along the wire
+        (docs/methods/digitize.md).
 
     Raises
     ------
@@ -268,7 +267,7 @@ def read_out_wires(
     detector : Detector
     wire_truths : Table
     reveal_sides : bool
-        Whether wire hits tell on which side of the wire the particle passed.
+        Whether wire hits hold the true side of the wire.
     seed : int
     raw : bool
         Whether drift times hold flight and propagation. Without them, only later half turns are later by their flight

@@ -29,27 +29,23 @@ class SimulateSettings(SettingsData):
     Attributes
     ----------
     fluctuations : str
-        ``"full"``: hard scatters and collisions one by one up to the largest transfer, ionization clusters.
-        ``"gaussian"``: exactly the noise that the fit assumes by default. ``"off"``: no scattering, and the loss that
-        the fit subtracts by default.
+        ``"full"``: single hard scatters and collisions, ionization clusters. ``"gaussian"``: the noise that the fit
+        assumes. ``"off"``: no scattering, and the loss that the fit subtracts.
     sublayers : bool
-        Whether every sub-layer scatters by itself, instead of groups of neighbours merged to one scatterer.
+        Whether every sub-layer scatters by itself, instead of merged slabs.
     foil : str
-        ``"effective"``: GEM foils are uniform matter. ``"lattice"``: they have holes, and a track crosses the copper
-        and Kapton on its path (docs/methods/foils.md); with fluctuations ``"full"`` only, since the others follow the
-        fit's assumptions.
+        ``"effective"``: GEM foils are uniform matter. ``"lattice"``: they have holes (docs/methods/foils.md); with
+        fluctuations ``"full"`` only.
     screening : str
-        Screening of nuclei in multiple scattering: ``"wentzel"``, as in Geant4's Wentzel-VI model, or ``"moliere"``.
-        The fit follows it.
+        Screening of nuclei in multiple scattering, in simulation and fit (docs/methods/matter.md).
     deltas : bool
-        Whether delta electrons leave deposits of their own in the drift gaps; with fluctuations ``"full"``.
+        Whether delta electrons leave deposits in the drift gaps; with fluctuations ``"full"``.
     steps : bool
-        Whether the steps table holds the ionization clusters of the particles, too, not only delta electrons.
+        Whether the steps table also holds the ionization clusters.
     decays : bool
-        Whether muons, charged pions and charged kaons decay in flight. Their charged daughters leave hits, too.
+        Whether muons, charged pions and charged kaons decay in flight.
     half_turns : int
-        Half turns of a particle that turns back in the field: from its closest approach to the beam line to its
-        outermost point, or back. 1: it is followed to its outermost point, and leaves no hits on the way inward.
+        Half turns of a curling particle. 1: it is followed to its outermost point only.
 
     Raises
     ------

@@ -29,14 +29,13 @@ class ClusterSettings(SettingsData):
     Attributes
     ----------
     position : str
-        ``"centre"``: geometric centre of the fired strips, for a binary read-out. ``"charge"``: mean of the strip
-        centres weighted by charge, for a read-out whose charges measure the position.
+        ``"centre"``: geometric centre of the fired strips. ``"charge"``: mean of the strip centres weighted by charge.
     bridge : int
-        Dead and hot strips in a row that a cluster may bridge; the error of its position grows.
+        Dead and hot strips in a row that a cluster may bridge.
     reference_p : float
-        GeV/c, momentum of the reference sample from which the errors of clusters follow.
+        GeV/c, momentum of the reference sample for the errors of clusters.
     reference_cos_theta : float
-        The reference sample covers cos(theta) from minus to plus this, uniformly.
+        The reference sample covers cos(theta) within plus and minus this.
 
     Raises
     ------

@@ -40,23 +40,22 @@ class FindSettings(SettingsData):
     Attributes
     ----------
     method : str
-        Source of the seeds. ``"combined"``: CGEM segments, then circles in the drift chamber from the hits that are
-        left. ``"segments"``: CGEM segments alone. ``"chamber"``: circles in the drift chamber alone; CGEM clusters
-        join by the prediction of the track. In each case a track may have hits of all layers.
+        Source of the seeds: ``"segments"`` of the CGEM, circles in the drift ``"chamber"``, or ``"combined"``: segments,
+        then circles from the remaining hits. A track may have hits of all layers.
     hypothesis : str
-        Particle whose mass the finder assumes, and which the candidates name for the fit.
+        Particle whose mass the finder assumes and the candidates have.
     efficiency : float
-        Probability that a layer or cell that a track crosses has its hit.
+        Probability that a crossed layer or cell has its hit.
     gate : float
-        A hit farther from the prediction is not tried, in standard deviations.
+        Largest distance of a hit from the prediction, in standard deviations.
     branches : int
         Branches of a seed that are kept at a time.
     passes : int
-        Passes of the filter over a track, each about the track that the last one found, as long as hits change.
+        Most passes of the filter over a track.
     holes_in_row : int
-        A branch ends after more missing hits than this, one after the other.
+        A branch ends after more missing hits in a row.
     max_d : float
-        mm, largest distance of a track from the beam line at the closest approach.
+        mm, largest distance of a track from the beam line.
     max_z : float
         mm, largest distance of this point from the origin along the beam line.
     min_pt : float
@@ -64,12 +63,12 @@ class FindSettings(SettingsData):
     least_axial : int
         Layers of axial wires and X clusters that a seed of the chamber needs.
     min_score : float
-        Smallest logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit of a track that
-        is followed. In a detector of three CGEM layers and nothing else, where no track is followed, without these 2.5.
+        Least logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit (0 in a detector of
+        three CGEM layers alone).
     max_seeds : int
-        Seeds of an event that are followed, of each source; the best ones come first.
+        Seeds of an event and source that are followed, the best first.
     annealing : bool
-        Whether a wire hit near several tracks is given to the one that it fits best, whichever was found first.
+        Whether a wire hit near several tracks is assigned to the one that it fits best.
 
     Raises
     ------
