@@ -40,8 +40,8 @@ class FindSettings(SettingsData):
     Attributes
     ----------
     method : str
-        Source of the seeds: ``"segments"`` of the CGEM, circles in the drift ``"chamber"``, or ``"combined"``: segments,
-        then circles from the remaining hits. A track may have hits of all layers.
+        Source of the seeds: ``"segments"`` of the CGEM, circles in the drift ``"chamber"``, or ``"combined"``:
+        segments, then circles from the remaining hits. A track may have hits of all layers.
     hypothesis : str
         Particle whose mass the finder assumes and the candidates have.
     efficiency : float
