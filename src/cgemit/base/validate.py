@@ -35,9 +35,12 @@ from cgemit.units import NATIVE, QuantityError, parse_quantity
 T = TypeVar("T")
 
 
+_NUMBER = (int, float, np.integer, np.floating)
+
+
 def number(given: object) -> float:
     """Return a number of Python or numpy as a float; NaN, which no range holds, for anything else."""
-    if not isinstance(given, int | float | np.integer | np.floating) or isinstance(given, bool):
+    if not isinstance(given, _NUMBER) or isinstance(given, bool):
         return math.nan
     try:
         return float(given)
@@ -293,19 +296,31 @@ def classes_in(kind: Any) -> Mapping[str, type[Any]]:
     return {"": kind} if isinstance(kind, type) and is_dataclass(kind) else {}
 
 
-def read(kind: Any, given: object, path: str, problems: Problems) -> Any:
-    """Return a value as it is kept if it is of a kind, else `NO` with its problems noted.
+#: Function of the path to a value, the value and problems: the value as it is kept, or `NO` with its problems noted.
+Reader = Callable[[str, Any, Problems], Any]
+
+
+def reader(kind: Any) -> Reader:
+    """Return what reads values of a kind.
 
     Values of numpy become those of Python, lists and arrays tuples, and whole numbers floats where floats are kept. The
     name of a choice becomes an instance with all defaults.
     """
     constraint = _constraint(kind)
-    if constraint is not None:
-        return None if given is None and allows_none(kind) else constraint.read(path, given, problems)
-    value = matched(kind, given)
+    if constraint is None:
+        return functools.partial(_read_matched, kind, matcher(kind))
+    return functools.partial(_read_optional, constraint.read) if allows_none(kind) else constraint.read
+
+
+def _read_matched(kind: Any, match: Callable[[object], Any], path: str, given: object, problems: Problems) -> Any:
+    value = match(given)
     if value is NO:
         _note(kind, given, path, problems)
     return value
+
+
+def _read_optional(read: Reader, path: str, given: object, problems: Problems) -> Any:
+    return None if given is None else read(path, given, problems)
 
 
 def _constraint(kind: Any) -> Quantity | None:
@@ -317,51 +332,67 @@ def _constraint(kind: Any) -> Quantity | None:
     return None
 
 
-def matched(kind: Any, given: object) -> Any:
-    """Return a value as it is kept if it is of a kind, else `NO`; see `read`."""
+def matcher(kind: Any) -> Callable[[object], Any]:
+    """Return the function that returns a value as it is kept if it is of a kind, else `NO`; see `reader`."""
     if isinstance(kind, Choice):
-        if isinstance(given, str) and given in kind.classes:
-            return kind.classes[given]()
-        return given if type(given) in kind.classes.values() else NO
-    if get_origin(kind) is Annotated:
-        base, *checks = get_args(kind)
-        if isinstance(checks[0], Quantity):
-            return checks[0].read("", given, Problems())
-        value = matched(base, given)
-        return value if value is not NO and all(check.fits(value) for check in checks) else NO
-    if get_origin(kind) is Literal:
-        return next((text for text in get_args(kind) if isinstance(given, str) and given == text), NO)
+        return functools.partial(_chosen, kind.classes)
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _annotated(*arguments)
+    if origin is Literal:
+        texts = dict(zip(arguments, arguments, strict=True))
+        return lambda given: texts.get(given, NO) if isinstance(given, str) else NO
     if _is_union(kind):
-        return next((value for one in get_args(kind) if (value := matched(one, given)) is not NO), NO)
-    if get_origin(kind) is tuple:
-        return _matched_tuple(get_args(kind), given)
-    return _matched_plain(kind, given)
+        members = [matcher(one) for one in arguments]
+        return lambda given: next((value for one in members if (value := one(given)) is not NO), NO)
+    if origin is tuple:
+        many = arguments[-1] is Ellipsis
+        return functools.partial(_listed, [matcher(one) for one in arguments[: 1 if many else None]], many)
+    return _PLAIN.get(kind) or functools.partial(_instance, origin or kind)
 
 
-def _matched_tuple(kinds: tuple[Any, ...], given: object) -> Any:
+def _chosen(classes: Mapping[str, type[Any]], given: object) -> Any:
+    if isinstance(given, str) and given in classes:
+        return classes[given]()
+    return given if type(given) in classes.values() else NO
+
+
+def _annotated(base: Any, *checks: Any) -> Callable[[object], Any]:
+    if isinstance(checks[0], Quantity):
+        return lambda given: checks[0].read("", given, Problems())
+    match = matcher(base)
+
+    def checked(given: object) -> Any:
+        value = match(given)
+        return value if value is not NO and all(check.fits(value) for check in checks) else NO
+
+    return checked
+
+
+def _listed(entries: list[Callable[[object], Any]], many: bool, given: object) -> Any:
     listed = given.tolist() if isinstance(given, np.ndarray) else given
-    if not isinstance(listed, tuple | list):
+    if not isinstance(listed, tuple | list) or not (many or len(entries) == len(listed)):
         return NO
-    if kinds[-1] is Ellipsis:
-        kinds = kinds[:1] * len(listed)
-    values = tuple(map(matched, kinds, listed)) if len(kinds) == len(listed) else (NO,)
+    values = tuple(match(one) for match, one in zip(entries * len(listed) if many else entries, listed, strict=True))
     return NO if NO in values else values
 
 
-def _matched_plain(kind: Any, given: object) -> Any:
-    kind = get_origin(kind) or kind
-    if kind is bool:
-        return bool(given) if isinstance(given, bool | np.bool_) else NO
-    if kind is int:
-        return int(given) if isinstance(given, int | np.integer) and not isinstance(given, bool) else NO
-    if kind is float:
-        value = number(given)
-        return NO if math.isnan(value) else value
-    if kind is str:
-        return str(given) if isinstance(given, str) else NO
-    if kind is type(None):
-        return None if given is None else NO
+def _number(given: object) -> Any:
+    value = number(given)
+    return NO if math.isnan(value) else value
+
+
+def _instance(kind: type[Any], given: object) -> Any:
     return given if isinstance(given, kind) else NO
+
+
+_PLAIN: Mapping[Any, Callable[[object], Any]] = {
+    bool: lambda given: bool(given) if isinstance(given, bool | np.bool_) else NO,
+    int: lambda given: int(given) if isinstance(given, int | np.integer) and not isinstance(given, bool) else NO,
+    float: _number,
+    str: lambda given: str(given) if isinstance(given, str) else NO,
+    type(None): lambda given: None if given is None else NO,
+}
 
 
 def _note(kind: Any, given: object, path: str, problems: Problems) -> None:
@@ -371,7 +402,7 @@ def _note(kind: Any, given: object, path: str, problems: Problems) -> None:
             if get_origin(one) is tuple and get_args(one)[-1] is Ellipsis:
                 entry = get_args(one)[0]
                 for i, value in enumerate(given):
-                    if matched(entry, value) is NO:
+                    if matcher(entry)(value) is NO:
                         _note(entry, value, f"{path}[{i}]", problems)
                 return
     text = f"{type(given).__name__}(...)" if is_dataclass(given) else f"{given!r:.80}"
@@ -466,10 +497,15 @@ def _number_of(text: str) -> Any:
 
 def check_fields(instance: Any, problems: Problems) -> None:
     """Read every field of a new frozen dataclass, and keep it as it was read; note what is wrong."""
-    for name, kind in kinds_of(type(instance)).items():
-        value = read(kind, getattr(instance, name), name, problems)
+    for name, read in _readers_of(instance.__class__).items():
+        value = read(name, getattr(instance, name), problems)
         if value is not NO:
             object.__setattr__(instance, name, value)
+
+
+@functools.cache
+def _readers_of(cls: type[Any]) -> Mapping[str, Reader]:
+    return {name: reader(kind) for name, kind in kinds_of(cls).items()}
 
 
 def entries(

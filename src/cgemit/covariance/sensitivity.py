@@ -14,7 +14,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.analysis.quantities import quantity_of
 from cgemit.base.errors import DetectorError, Problems
-from cgemit.base.validate import NO, read
+from cgemit.base.validate import NO, reader
 from cgemit.covariance.analytic import analytic, with_errors_of
 from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, load
@@ -236,8 +236,9 @@ def sensitivity(
     base = analytic(detector, particle, p, cos_theta, **how)
     base.only_at_origin("sensitivity")
     problems = Problems()
-    names = read(tuple[str, ...], quantities, "quantities", problems)
-    wanted = tuple(design_keys(detector)) if keys is None else read(tuple[str, ...], keys, "keys", problems)
+    read = reader(tuple[str, ...])
+    names = read("quantities", quantities, problems)
+    wanted = tuple(design_keys(detector)) if keys is None else read("keys", keys, problems)
     for name, found in (("quantities", names), ("keys", wanted)):
         if found == ():
             problems.note(name, "an empty list", "a list of at least one")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cgemit.base.settings import SettingsData, SettingsError
-from cgemit.base.validate import NO, Positive, expected, kinds_of, matched, one_of
+from cgemit.base.validate import NO, Positive, expected, kinds_of, matcher, one_of
 from cgemit.chain.settings import Settings
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import FitSettings
@@ -221,7 +221,7 @@ def test_overrides_are_those_of_the_fields() -> None:
     ],
 )  # fmt: skip
 def test_values_are_kept_as_those_of_python(kind: Any, given: object, kept: object) -> None:
-    value = matched(kind, given)
+    value = matcher(kind)(given)
     assert value == kept
     assert type(value) is type(kept)
 
@@ -230,7 +230,7 @@ def test_values_are_kept_as_those_of_python(kind: Any, given: object, kept: obje
 def test_every_field_has_a_default_and_words_for_what_it_may_be(cls: type[SettingsData]) -> None:
     settings = cls()
     for name, kind in kinds_of(cls).items():
-        assert matched(kind, getattr(settings, name)) == getattr(settings, name)
+        assert matcher(kind)(getattr(settings, name)) == getattr(settings, name)
         assert expected(kind)
         with pytest.raises(SettingsError, match=f"^{cls.__name__}: 1 problem\n  {name}: got "):
             dataclasses.replace(settings, **{name: object()})
