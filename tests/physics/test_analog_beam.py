@@ -18,11 +18,11 @@ from cgemit.covariance.result import Covariance
 from cgemit.detector.gas import ionization, mean_shift
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.reconstruction.cluster import cluster, clusterer_of
-from cgemit.reconstruction.clusterers.charge import ChargeTimeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.study.readout.errors import measurements
 from cgemit.study.readout.scan import beam_detector, beam_run, beam_views
 from cgemit.tables import Table
+from clusterers import expect
 
 PLANE = beam_detector(0.0)
 FIELD = beam_detector(1.0)
@@ -211,7 +211,7 @@ def test_analytic_errors_at_one_angle(
     expected = as_expected(readout, cos_theta, 8000)
     if cos_theta == -0.8 and isinstance(readout, AnalogReadout):
         of_all = [one.mean(axis=1) for one in clusterer_of(readout).expected_errors(load("besiii-cgem-design"))]
-        monkeypatch.setattr(ChargeTimeClusterer, "expected_errors", lambda *_: of_all)
+        expect(monkeypatch, AnalogReadout, of_all)
         wrong = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)
         assert float(np.squeeze(wrong.sigma_dz)) < 0.96 * float(np.squeeze(expected.sigma_dz))
 

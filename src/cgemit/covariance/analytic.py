@@ -20,11 +20,9 @@ from cgemit.covariance.tracks import (
     Sample,
     Tracks,
     efficiencies_of,
-    mean,
     near_ends,
     points_of,
     sample_of,
-    status_of,
 )
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import most_lost
@@ -34,6 +32,7 @@ from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
 from cgemit.reconstruction.cluster_errors import COS_THETA
+from cgemit.reconstruction.clusterers.clusterer import Clusterer
 from cgemit.reconstruction.fit import FitSettings, FitStatus, compiled_for_fit
 from cgemit.reconstruction.states import StateStatus, Surface, shares_inside
 from cgemit.simulation.digitize import DigitizeSettings
@@ -107,6 +106,9 @@ def _states(
         },
     )  # fmt: skip
     return states
+
+
+_FIT = FitSettings()
 
 
 def analytic(
@@ -183,7 +185,7 @@ def analytic(
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
     [309. 168.] [0.83 4.66]
     """
-    detector, fit = load(detector), FitSettings() if fit is None else fit
+    detector, fit = load(detector), _FIT if fit is None else fit
     if not isinstance(fit, FitSettings):
         raise TypeError(f"fit: got {fit!r:.60}, expected FitSettings or None")
     if threads is not None and not is_whole(threads, 1, 2**15):
@@ -211,36 +213,34 @@ def covariance_at(
     ValueError
         If the read-out has no expected errors.
     """
-    warn_of_losses(detector, digitize.readout)
-    at_origin = bool(np.all(np.isnan(points.radius)))
-    hits = _hit_model(detector, digitize.readout, digitize.reveal_sides, fit)
-    sample, tracks = _tracks(points, detector, hits, fit, threads, at_origin)
-    if at_origin:
-        out = tracks.run(budget=False)
+    readout = digitize.readout
+    warn_of_losses(detector, readout)
+    hits = _hit_model(detector, clusterer_of(readout), digitize.reveal_sides, fit)
+    sample, tracks = _tracks(points, detector, hits, fit, threads)
+    if points.at_origin:
+        columns = tracks.run(budget=False)
     else:
-        tracks, out = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
-    return _result(points, sample, digitize.readout, tracks, out)
+        tracks, columns = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
+    # Other detectors share points and sample: whoever changes these arrays changes copies.
+    p, cos_theta, phi, radius = (one.copy() for one in (sample.p, sample.cos_theta, points.phi[0], points.radius))
+    return Covariance(detector, points.particle, readout, p, cos_theta, phi, radius, tracks, columns)
 
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
     """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
-    return _entries(points, detector, _hit_model(detector, digitize.readout, digitize.reveal_sides, fit), fit)
-
-
-def _entries(points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings) -> Entries:
-    sample, tracks = _tracks(points, detector, hits, fit, 1, True)
+    hits = _hit_model(detector, clusterer_of(digitize.readout), digitize.reveal_sides, fit)
+    sample, tracks = _tracks(points, detector, hits, fit, 1)
     out = tracks.run(budget=False)
     return Entries(sample, out["covariance"], out["status"])
 
 
 def _tracks(
-    points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings, threads: int | None,
-    at_origin: bool,
-) -> tuple[Sample, Tracks]:  # fmt: skip
+    points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings, threads: int | None
+) -> tuple[Sample, Tracks]:
     """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
     number = points.samples or (128 if hits.vary or points.vary else 1)
     sample = sample_of(points, number, len(detector.cgem))
-    scatter = number > 1 and at_origin
+    scatter = number > 1 and points.at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
         detector, fit, hits.model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64),
@@ -271,59 +271,38 @@ class ExpectedHits(NamedTuple):
     least_electrons: int
 
 
-def _hit_model(detector: Detector, readout: Readout, sides_known: bool, fit: FitSettings) -> ExpectedHits:
+@once
+def _hit_model(detector: Detector, clusterer: Clusterer, sides_known: bool, fit: FitSettings) -> ExpectedHits:
     """Return how hits of a read-out are expected."""
     model: HitModel = {
         "least_width": fit.least_width, "delta_strips": fit.delta_strips, "sides_known": sides_known, "seed": 0,
         "prior_sigma": fit.prior_sigma,
     }  # fmt: skip
-    model = with_errors_of(model, readout, detector)
-    least = readout.least_electrons
+    model = with_errors_of(model, clusterer, detector)
+    least = clusterer.readout.least_electrons
     lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.cgem)
     given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
     return ExpectedHits(model, lost or not given, least)
 
 
-def with_errors_of(model: HitModel, readout: Readout, detector: Detector) -> HitModel:
+def with_errors_of(model: HitModel, clusterer: Clusterer, detector: Detector) -> HitModel:
     """Return a model with the errors that clusters of a read-out have in a detector.
 
     Parameters
     ----------
     model : dict
-    readout : Readout
+    clusterer : Clusterer
     detector : Detector
     """
-    errors = _errors(readout, detector)
+    errors = _errors(clusterer, detector)
     cos_theta = COS_THETA if max(one.shape[1] for one in errors) > 1 else np.zeros(1)
     x, v, correlation = (np.broadcast_to(one, (len(one), len(cos_theta))).ravel().tolist() for one in errors)
     return model | {"cos_theta": cos_theta.tolist(), "sigma_x": x, "sigma_v": v, "corr_xv": correlation}
 
 
-def _result(
-    points: Points, sample: Sample, readout: Readout, tracks: Tracks, out: dict[str, npt.NDArray[Any]]
-) -> Covariance:
-    """Return the result of the core's columns."""
-    shape = points.charge.shape
-
-    def by_point(column: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return column.reshape(-1, tracks.samples, *column.shape[1:])
-
-    status = by_point(out["status"])
-    ok = status == 0
-    entries = by_point(out["covariance"])
-    cov = np.empty((len(entries), 5, 5))
-    cov[:, UPPER[0], UPPER[1]] = cov[:, UPPER[1], UPPER[0]] = mean(np.moveaxis(entries, 1, -1), ok[:, None, :])
-    worst, reached = status_of(status)
-    return Covariance(
-        tracks.detector, points.particle, readout, sample.p, sample.cos_theta, points.phi[0], points.radius,
-        worst.reshape(shape), reached.reshape(shape), mean(by_point(out["n_clusters"]), ok).reshape(shape),
-        mean(by_point(out["n_wires"]), ok).reshape(shape), cov.reshape(*shape, 5, 5), tracks, entries,
-    )  # fmt: skip
-
-
-def _errors(readout: Readout, detector: Detector) -> tuple[Floats, Floats, Floats]:
+def _errors(clusterer: Clusterer, detector: Detector) -> tuple[Floats, Floats, Floats]:
     """Return errors of X and V, mm, and their correlations, each (layers, 1) or (layers, len(COS_THETA))."""
-    clusterer = clusterer_of(readout)
+    readout = clusterer.readout
     sigma_x, sigma_v = clusterer.expected_errors(detector)
     given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(detector)}
     x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(detector.cgem)) for name, one in given.items())

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, quantity_of
+from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, UPPER, quantity_of
 from cgemit.covariance.tracks import Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
@@ -332,14 +333,6 @@ class Covariance:
     radius : ndarray, float64, mm
         Of the cylinder; NaN at the origin. All matter inside it has acted, and none outside. The pivot is the point of
         the track there, so that dr and dz are the displacements across the flight and along the beam.
-    status : ndarray, int8
-        `FitStatus`: ok if any sample of the point has a covariance, else that of most samples.
-    reached : ndarray, float64
-        Fraction of the samples with a covariance.
-    n_clusters, n_wires : ndarray, float64
-        Mean number of clusters and wire hits of these samples.
-    cov : ndarray, shape + (5, 5) float64
-        Mean covariance of these samples: mm, rad, (GeV/c)^-1.
     """
 
     detector: Detector
@@ -349,13 +342,47 @@ class Covariance:
     cos_theta: Floats
     phi: Floats
     radius: Floats
-    status: npt.NDArray[np.int8]
-    reached: Floats
-    n_clusters: Floats
-    n_wires: Floats
-    cov: Floats
     _tracks: Tracks
-    _samples: Floats  # (points, samples, 15), NaN without a covariance
+    _columns: Mapping[str, npt.NDArray[Any]]  # of the core, by track; entries of the covariance are NaN without one
+
+    @cached_property
+    def status(self) -> npt.NDArray[np.int8]:
+        """`FitStatus`: ok if any sample of the point has a covariance, else that of most samples."""
+        return status_of(self._by_point("status"))[0].reshape(self.p.shape)
+
+    @cached_property
+    def reached(self) -> Floats:
+        """Fraction of the samples with a covariance."""
+        return status_of(self._by_point("status"))[1].reshape(self.p.shape)
+
+    @cached_property
+    def n_clusters(self) -> Floats:
+        """Mean number of clusters of the samples with a covariance."""
+        return self._mean("n_clusters")
+
+    @cached_property
+    def n_wires(self) -> Floats:
+        """Mean number of wire hits of the samples with a covariance."""
+        return self._mean("n_wires")
+
+    @cached_property
+    def cov(self) -> Floats:
+        """Mean covariance of the samples with one, shape + (5, 5): mm, rad, (GeV/c)^-1."""
+        found = np.empty((*self.p.shape, 5, 5))
+        found[..., UPPER[0], UPPER[1]] = found[..., UPPER[1], UPPER[0]] = self._mean("covariance")
+        return found
+
+    def _mean(self, name: str) -> Floats:
+        """Return the mean of a column over the samples with a covariance, shape + that of its entries."""
+        ok = self._by_point("status") == 0
+        values = np.moveaxis(self._by_point(name), 1, -1)
+        found = mean(values, ok.reshape(len(ok), *(1,) * (values.ndim - 2), -1))
+        return found.reshape(self.p.shape + found.shape[1:])
+
+    def _by_point(self, name: str) -> npt.NDArray[Any]:
+        """Return a column as (points, samples, ...)."""
+        column = self._columns[name]
+        return column.reshape(-1, self._tracks.samples, *column.shape[1:])
 
     def sigma(self, quantity: str) -> Floats:
         """Return the core resolution: the Gaussian within 3 of its sigmas.
@@ -394,7 +421,7 @@ class Covariance:
         It is NaN without a covariance.
         """
         tracks = self._tracks
-        found = quantity_of(quantity).variance(self._samples.reshape(-1, 15), tracks.kappa, tracks.tanl)
+        found = quantity_of(quantity).variance(self._columns["covariance"], tracks.kappa, tracks.tanl)
         return found.reshape(*self.p.shape, tracks.samples)
 
     def budget(self, quantity: str) -> Budget:

@@ -20,6 +20,7 @@ from cgemit.covariance.result import Covariance
 from cgemit.detector import Detector, load
 from cgemit.detector.parts import CgemLayer, Contents, Labelled
 from cgemit.detector.variants import values_at
+from cgemit.reconstruction.cluster import clusterer_of
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
 from cgemit.units import NATIVE
@@ -59,7 +60,8 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
         return []
     tracks = base._tracks
     smooth = [_with_stereo(one, base.detector) for one, _ in variants]  # as the cores are
-    models = [with_errors_of(tracks.model, base.readout, one) for one in smooth]
+    clusterer = clusterer_of(base.readout)
+    models = [with_errors_of(tracks.model, clusterer, one) for one in smooth]
     same = [number for number, model in enumerate(models) if model == tracks.model]
     found: dict[int, Floats] = {}
     if same:
@@ -70,7 +72,7 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
             own = dataclasses.replace(tracks, model=model)
             found[number] = own.run(budget=False, variants=[core])["covariance"][1]
     return [
-        dataclasses.replace(base, detector=one, _samples=found[number].reshape(base._samples.shape))
+        dataclasses.replace(base, detector=one, _columns={**base._columns, "covariance": found[number]})
         for number, (one, _) in enumerate(variants)
     ]
 

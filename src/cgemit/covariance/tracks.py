@@ -8,6 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -269,7 +270,12 @@ class Points(Part):
     radius: Floats
     samples: int | None
 
-    @property
+    @cached_property
+    def at_origin(self) -> bool:
+        """Whether all covariances are wanted at the origin."""
+        return bool(np.all(np.isnan(self.radius)))
+
+    @cached_property
     def vary(self) -> bool:
         """Whether the tracks of a point differ."""
         return bool(np.any(np.isnan(self.phi[0]))) or any(np.any(low != high) for low, high in (self.p, self.cos_theta))
@@ -305,7 +311,7 @@ def points_of(
     mass: npt.ArrayLike | None = None,
     samples: int | None = None,
 ) -> Points:
-    """Return the points that arguments of `analytic` stand for.
+    """Return the points that arguments of `analytic` stand for; those of the same numbers are made once.
 
     Parameters
     ----------
@@ -317,6 +323,17 @@ def points_of(
     ValueError
         Listing every problem.
     """
+    given: tuple[Any, ...] = (particle, p, cos_theta, phi, radius, charge, mass, samples)
+    try:
+        return _points_once(*given)
+    except TypeError:  # lists and arrays cannot be looked up
+        return _points(*given)
+
+
+def _points(
+    particle: str | int, p: Quantity, cos_theta: Quantity, phi: Quantity | None, radius: Quantity | None,
+    charge: npt.ArrayLike | None, mass: npt.ArrayLike | None, samples: int | None,
+) -> Points:  # fmt: skip
     problems = Problems()
     try:
         kind = species(particle)
@@ -339,6 +356,9 @@ def points_of(
     p_low, p_high, c_low, c_high, phi_low, phi_high, charges, masses, at = given
     limits = (p_low, p_high), (c_low, c_high), (phi_low, phi_high)
     return Points(kind.name, *limits, charges, masses, at, samples)
+
+
+_points_once = functools.lru_cache(maxsize=64, typed=True)(_points)
 
 
 @once

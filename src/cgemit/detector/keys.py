@@ -26,7 +26,7 @@ class Part:
 
 
 def once(make: Callable[Concatenate[_P, _A], _R]) -> Callable[Concatenate[_P, _A], _R]:
-    """Return the function of a part and hashable arguments that calls `make` once for the same object and arguments.
+    """Return the function of a part and arguments that calls `make` once for the same object and hashable arguments.
 
     Looking up an object is faster than hashing its values, as a cache of equal parts has to.
     """
@@ -34,12 +34,14 @@ def once(make: Callable[Concatenate[_P, _A], _R]) -> Callable[Concatenate[_P, _A
     @wraps(make)
     def kept(part: _P, /, *args: _A.args, **named: _A.kwargs) -> _R:
         key = (make, args) if args else make
+        values: dict[Any, _R] = part.__dict__.setdefault(_KEPT, {})
         try:
-            value: _R = part.__dict__[_KEPT][key]
+            return values[key]
         except KeyError:
-            value = make(part, *args, **named)
-            part.__dict__.setdefault(_KEPT, {})[key] = value
-        return value
+            value = values[key] = make(part, *args, **named)
+            return value
+        except TypeError:  # an argument has no hash, such as a read-out from outside the package with a list
+            return make(part, *args, **named)
 
     return kept
 

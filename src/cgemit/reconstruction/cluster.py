@@ -85,10 +85,10 @@ def warn_of_losses(detector: Detector, readout: Readout) -> None:
     detector : Detector
     readout : Readout
     """
-    lost = {layer: most_lost(layer, readout.least_electrons) for layer in detector.cgem}
+    lost = [(layer, most_lost(layer, readout.least_electrons)) for layer in detector.cgem]
     thin = [
         f"{layer.label} {loss:.0%} (drift_gap {layer.drift_gap:g} mm)"
-        for layer, loss in lost.items()
+        for layer, loss in lost
         if loss > _LOSS_OF_A_WARNING
     ]
     if thin:

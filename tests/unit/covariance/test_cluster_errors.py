@@ -11,7 +11,7 @@ from cgemit import isa
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of
 from cgemit.reconstruction.cluster_errors import COS_THETA, expected_errors
-from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
+from clusterers import expect
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,8 +26,7 @@ def angular(monkeypatch: pytest.MonkeyPatch) -> dict[str, Floats]:
     random = np.random.default_rng(5)
     x, v = random.uniform(0.08, 0.3, (2, 3, 17))
     given = {"x": x, "v": v, "xv": random.uniform(-0.6, 0.6, (3, 17))}
-    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (given["x"], given["v"]))
-    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: given["xv"])
+    expect(monkeypatch, cg.GaussianReadout, (given["x"], given["v"]), given["xv"])
     return given
 
 
@@ -47,8 +46,7 @@ def test_covariance_takes_the_errors_of_the_angle(
     ends = cg.analytic(*TRACK, ANGLES[[0, -1]], **how).cov
     for number, cos_theta in enumerate(ANGLES):
         one = at(angular, cos_theta)
-        monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_, one=one: (one["x"], one["v"]))
-        monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_, one=one: one["xv"])
+        expect(monkeypatch, cg.GaussianReadout, (one["x"], one["v"]), one["xv"])
         expected = cg.analytic(*TRACK, cos_theta, **how).cov
         scale = np.sqrt(np.diagonal(np.squeeze(expected)))
         np.testing.assert_allclose(
@@ -80,7 +78,7 @@ def test_budget_adds_up() -> None:
 @pytest.mark.usefixtures("angular")
 def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Derivatives, for which hits are kept, are those with the errors of the angle for all tracks."""
-    clusterer = GaussianClusterer(cg.GaussianReadout())
+    clusterer = clusterer_of("gaussian")
     given = dict(zip("xv", clusterer.expected_errors(cg.load(TRACK[0])), strict=True))
     given["xv"] = clusterer.expected_correlations(cg.load(TRACK[0]))
 
@@ -89,24 +87,23 @@ def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) 
         return np.asarray(found.values, np.float64).ravel()
 
     found, one = derivatives(), at(given, 0.5)
-    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (one["x"], one["v"]))
-    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: one["xv"])
+    expect(monkeypatch, cg.GaussianReadout, (one["x"], one["v"]), one["xv"])
     np.testing.assert_allclose(found, derivatives(), rtol=1e-6)
     assert np.abs(found).max() > 0
 
 
 @pytest.mark.parametrize("rho", [1.0, -1.2, np.nan])
 def test_impossible_correlations(rho: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: np.full(3, rho))
+    expect(monkeypatch, cg.GaussianReadout, correlations=np.full(3, rho))
     with pytest.raises(ValueError, match="read-out gaussian: correlations: expected numbers between -1 and 1"):
         cg.analytic(*TRACK, 0.2, readout="gaussian")
 
 
 def test_a_correlation_needs_both_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where only V has a given error, it has no part of X."""
-    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (np.zeros(3), np.full(3, 0.1)))
+    expect(monkeypatch, cg.GaussianReadout, (np.zeros(3), np.full(3, 0.1)))
     expected = cg.analytic(*TRACK, 0.2, readout="gaussian").cov
-    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: np.full(3, 0.5))
+    expect(monkeypatch, cg.GaussianReadout, correlations=np.full(3, 0.5))
     np.testing.assert_array_equal(cg.analytic(*TRACK, 0.2, readout="gaussian").cov, expected)
 
 
@@ -122,7 +119,7 @@ def test_a_correlation_needs_both_errors(monkeypatch: pytest.MonkeyPatch) -> Non
     ],
 )
 def test_impossible_errors(errors: Floats, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(GaussianClusterer, "expected_errors", lambda *_: (np.full(3, 0.1), errors))
+    expect(monkeypatch, cg.GaussianReadout, (np.full(3, 0.1), errors))
     with pytest.raises(ValueError, match=f"read-out gaussian: {message}"):
         cg.analytic(*TRACK, 0.2, readout="gaussian")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 import warnings
 from typing import Any
 
@@ -19,6 +20,7 @@ from cgemit.covariance.result import sources
 from cgemit.covariance.sensitivity import varied
 from cgemit.covariance.tracks import core_width, status_of
 from cgemit.detector import compiled, slabs
+from cgemit.detector.readouts import READOUTS
 from fields import HARMONIC
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
@@ -207,6 +209,46 @@ def test_the_status_of_a_point_is_that_of_most_samples() -> None:
     status, reached = status_of(samples)
     assert status.tolist() == [1, 0, 7, 0]
     np.testing.assert_allclose(reached, [0, 1 / 3, 0, 1])
+
+
+def test_points_and_errors_of_clusters_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    detector = DESIGN.with_overrides({"cgem.L1.pitch_x": "601 um"})
+    first = cg.analytic(detector, "mu-", 0.7, 0.1, phi=0.2, readout="gaussian")
+    for module, name in (("tracks", "_numbers"), ("analytic", "_errors")):
+        monkeypatch.setattr(sys.modules[f"cgemit.covariance.{module}"], name, lambda *_: pytest.fail("made again"))
+    again = cg.analytic(detector, "mu-", 0.7, 0.1, phi=0.2, readout="gaussian")
+    np.testing.assert_array_equal(again.cov, first.cov)
+    for other in ({"p": 0.8}, {"fit": cg.FitSettings(least_width=0.2)}, {"readout": "tiger"}, {"reveal_sides": True}):
+        with pytest.raises(pytest.fail.Exception, match="made again"):
+            cg.analytic(detector, **{"p": 0.7, "cos_theta": 0.1, "phi": 0.2, "readout": "gaussian"} | other)
+
+
+def test_who_changes_a_result_changes_no_later_one() -> None:
+    first, names = cg.analytic(DESIGN, p=0.7, radius=60.0), ("p", "cos_theta", "phi", "radius", "status", "cov")
+    before = [getattr(first, name).copy() for name in names]
+    for name in names:
+        getattr(first, name)[...] = 7
+    later = cg.analytic(DESIGN, p=0.7, radius=60.0)
+    for name, expected in zip(names, before, strict=True):
+        np.testing.assert_array_equal(getattr(later, name), expected)
+
+
+def test_covariance_of_a_variant_is_its_own() -> None:
+    base = cg.analytic(DESIGN, p=[0.3, 1.0])
+    (found,) = varied(base, [DESIGN.with_overrides({"cgem.*.drift_gap": "+0.1 %"})])
+    assert np.all(found.cov[:, 0, 0] != base.cov[:, 0, 0])
+    np.testing.assert_allclose(1e3 * np.sqrt(found.cov[:, 0, 0]), found.rms("dr"), rtol=1e-12)
+
+
+def test_a_readout_may_hold_what_has_no_hash(monkeypatch: pytest.MonkeyPatch) -> None:
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Weighted(cg.GaussianReadout):
+        name = "weighted"
+        weights: list = dataclasses.field(default_factory=list)  # type: ignore[type-arg]
+
+    monkeypatch.setitem(READOUTS, "weighted", Weighted)
+    plain, own = (cg.analytic(DESIGN, readout=one) for one in ("gaussian", Weighted()))
+    np.testing.assert_array_equal(own.cov, plain.cov)
 
 
 def test_a_derivative_at_an_upper_bound_is_that_below_it() -> None:

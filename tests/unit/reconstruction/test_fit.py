@@ -22,12 +22,12 @@ from cgemit.detector import compiled, load
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
 from cgemit.reconstruction.find import by_truth
 from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, FitStatus, core_arguments, fit
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.tables import Table
+from clusterers import expect
 from exact import EXACT, assert_pulls_are_standard_normal
 from pages.performance.stages import smeared
 from pages.scenarios import SCENARIOS, Hits, exchange_clusters
@@ -572,7 +572,7 @@ RHO_CORRELATED = np.array([0.6, -0.5, 0.7])
 @pytest.fixture
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the correlation of the Gaussian read-out known."""
-    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: RHO_CORRELATED)
+    expect(monkeypatch, cg.GaussianReadout, correlations=RHO_CORRELATED)
 
 
 def correlated(result: cg.Result, rho: npt.NDArray[np.float64] | None = None) -> Table:
@@ -702,7 +702,7 @@ def test_covariance_without_events(radius: float | None, monkeypatch: pytest.Mon
     unit = np.outer(scale, scale)
     how = {"phi": 0.3, "reveal_sides": True} | ({} if radius is None else {"radius": radius})
     other = cg.analytic(DESIGN, "mu-", 0.7, 0.4, readout="gaussian", **how).cov
-    monkeypatch.setattr(GaussianClusterer, "expected_correlations", lambda *_: RHO_CORRELATED)
+    expect(monkeypatch, cg.GaussianReadout, correlations=RHO_CORRELATED)
     found = cg.analytic(DESIGN, "mu-", 0.7, 0.4, readout="gaussian", **how).cov
     assert np.abs((np.squeeze(found) - mean) / unit).max() < 0.01
     assert np.abs((np.squeeze(other) - mean) / unit).max() > 0.05
