@@ -488,9 +488,10 @@ def _of_choices(name: str, share: float) -> Numbers:
 def blocks(found: Found) -> dict[str, str]:
     """Return the tables, and what was run."""
     results = FitResults.of(found)
+    tracks = {round(row.n + row.lost) for row in results.chi2}
     return {
         "fit-versions": found["pulls"].about["versions"],
-        "fit-events": found["pulls"].about["events"],
+        "fit-events": f"{min(tracks):,} to {max(tracks):,} tracks",
         "choice-events": found["losses"].about["events"],
         "pulls": _pull_table(results),
         "from-optimum": _from_optimum(results),
@@ -504,15 +505,19 @@ def blocks(found: Found) -> dict[str, str]:
 def _pull_table(results: FitResults) -> str:
     lines = []
     for mode, name in itertools.product(MODES, DETECTORS):
-        of_sample = [row for row in results.pulls if (row.mode, row.detector) == (mode, name)]
-        for title, slow in ((f"{MOMENTA[1]:g} to {MOMENTA[-1]:g}", False), (f"{MOMENTA[0]:g}", True)):
-            rows = [row for row in of_sample if (row.p < 0.15) == slow]
-            if rows:
-                widths, means = [row.width for row in rows], [row.mean for row in rows]
-                off = sum(not row.agrees for row in rows)
-                cells = [f"{min(widths):.3f} to {max(widths):.3f}", f"{min(means):+.3f} to {max(means):+.3f}"]
-                lines.append([_SAMPLES[mode], name, title, *cells, f"**{off}** of {len(rows)}" if off else "0"])
-    return table(["sample", "detector", "p, GeV/c", "width", "mean", "off"], lines)
+        rows = [row for row in results.pulls if (row.mode, row.detector) == (mode, name)]
+        slow, fast = ([row for row in rows if (row.p < 0.15) == low] for low in (True, False))
+        if rows:
+            widths, means = [row.width for row in fast], [row.mean for row in fast]
+            cells = [f"{min(widths):.3f} to {max(widths):.3f}", f"{min(means):+.3f} to {max(means):+.3f}"]
+            lines.append([_SAMPLES[mode], name, *cells, _off(fast), _off(slow)])
+    head = ["sample", "detector", "width", "mean", "off", "off at 0.1 GeV/c"]
+    return table(head, lines)
+
+
+def _off(rows: Sequence[Pull]) -> str:
+    off = sum(not row.agrees for row in rows)
+    return f"**{off}** of {len(rows)}" if off else f"0 of {len(rows)}"
 
 
 def _from_optimum(results: FitResults) -> str:

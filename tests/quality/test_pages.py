@@ -188,8 +188,8 @@ def test_a_pull_that_is_off_is_marked() -> None:
     wide = [dataclasses.replace(row, width=1.3) for row in found["pulls"].rows]
     before, after = fit.PAGE.blocks(found), fit.PAGE.blocks(found | {"pulls": Numbers(wide, found["pulls"].about)})
     rows = len(before["pulls"].splitlines()) - 2
-    assert before["pulls"].count("**") < 2 * rows
-    assert after["pulls"].count("**") == 2 * rows  # every sample has pulls beyond the tolerance
+    assert before["pulls"].count("**") < 4 * rows
+    assert after["pulls"].count("**") == 4 * rows  # slow and fast tracks of every sample
 
 
 # -- the covariance beside simulated tracks

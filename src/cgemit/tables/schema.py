@@ -158,7 +158,7 @@ RESIDUALS = (
 START_TIMES = (
     EVENT,
     real("start_time", "ns", "common excess of all drift times of the event; 0 without a track"),
-    real("err_start_time", "ns", "its standard deviation; without a track that of the given start time, or NaN"),
+    real("err_start_time", "ns", "its standard deviation; without a track the error of the given start time, or NaN"),
     whole("n_tracks", "number of candidates used"),
     column_of("i1", "status", "", "how the fit ended (StartTimeStatus; 0 is good)"),
 )
@@ -207,7 +207,7 @@ VERTICES = (
 
 
 _PARTICLE = whole("particle", "number of the particle within its event")
-_SHEET = whole("sheet", "sheet of the layer's read-out")
+_SHEET = whole("sheet", "sheet of the layer")
 
 _PARTICLES = (
     EVENT,
