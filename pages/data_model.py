@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+
 from cgemit.tables.schema import ROWS, SCHEMAS, Column
 from pages.page import Found, Page, table
 
@@ -22,7 +24,7 @@ def _section(kind: str, columns: tuple[Column, ...]) -> str:
     if alike := [other for other in SCHEMAS if SCHEMAS[other] == columns and other != kind and kind.endswith(other)]:
         return f"{head} Columns are those of `{alike[0]}`."
     groups = _groups(tuple(column for column in columns if column.name != "event"))
-    return f"{head}\n\n{table(['column', 'type', 'meaning'], [_row(group) for group in groups])}"
+    return f"{head}\n\n{table(['column', 'type, unit', 'meaning'], [_row(group) for group in groups])}"
 
 
 def _groups(columns: tuple[Column, ...]) -> list[list[Column]]:
@@ -70,8 +72,9 @@ def _row(group: list[Column]) -> list[str]:
         meaning = family[1]
     meaning += f" (row of {' or '.join(f'`{link}`' for link in links)})" if links else ""
     shape = f" ({', '.join(map(str, column.shape))})" if column.shape else ""
-    unit = f", {column.unit}" if column.unit and len({one.unit for one in group}) == 1 else ""
-    return [names, f"{column.dtype}{shape}{unit}", meaning]
+    kind = f"{column.dtype}{shape}" if column.dtype != np.float64 or shape else ""
+    unit = column.unit if len({one.unit for one in group}) == 1 else ""
+    return [names, ", ".join(text for text in (kind, unit) if text), meaning]
 
 
 PAGE = Page("data_model", "docs/data_model.md", "no time", blocks=blocks)

@@ -182,7 +182,7 @@ def blocks(found: Found) -> dict[str, str]:
 
 
 def _changed(value: float, change: float | None, error: float | None) -> str:
-    return f"{value:.4g}" if change is None else f"{value:.4g} ({change:+.1f} ± {error:.1f} %)"
+    return f"{value:.4g}" if change is None else f"{change:+.1f} ± {error:.1f} %"
 
 
 PAGE = Page(

@@ -13,6 +13,12 @@ from pages.page import Found, Page, table
 
 Rows = Sequence[Sequence[str]]
 
+#: Words of allowed values, and what replaces them in the tables.
+SHORT = {
+    r"one of ": "", r"zero or a positive number": "≥ 0", r"a positive number": "> 0", r"a finite number": "number",
+    r"an? [\w ]+? above 0 and up to ": "> 0, ≤ ", r"an? [\w ]+? from (\S+) to ": r"\1 to ",
+}  # fmt: skip
+
 
 def blocks(found: Found) -> dict[str, str]:
     """Return the tables of all settings."""
@@ -44,10 +50,17 @@ def rows_of(cls: type[Any]) -> Rows:
     for field, kind in kinds_of(cls).items():
         value = getattr(settings, field)
         default = f'"{value.name}"' if isinstance(kind, Choice) else shown(value)
-        allowed = "" if kind is bool else expected(kind).removeprefix("one of ")
+        allowed = "" if kind is bool else _short(expected(kind))
         cells = [f"`{field}`", default, allowed, about.get(field, "")]
         rows.append([cell.replace("|", r"\|") for cell in cells])
     return rows
+
+
+def _short(text: str) -> str:
+    """Return allowed values in a few words."""
+    for words, short in SHORT.items():
+        text = re.sub(words, short, text)
+    return text
 
 
 def shown(value: object) -> str:
