@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -100,7 +100,20 @@ def _reach(detector: Detector, layer: Column) -> Column:
     return lengths[np.where((layer >= 0) & (layer < len(detector.cgem)), layer, -1)]
 
 
-def value_problems(detector: Detector, clusters: Columns) -> list[str]:
+class RowProblem(NamedTuple):
+    """What is wrong with a row of hits: the column, its value and what was expected of it."""
+
+    table: str
+    row: int
+    name: str
+    got: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"{self.table} row {self.row}: {self.name}: got {self.got}, expected {self.expected}"
+
+
+def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     """Say which layers, coordinates, errors and strips of clusters cannot be, by the names that they were given under.
 
     Parameters
@@ -109,44 +122,43 @@ def value_problems(detector: Detector, clusters: Columns) -> list[str]:
     clusters : dict of str to ndarray
         As given, with `view`.
     """
-    layers, layer, problems = len(detector.cgem), clusters["layer"], []
+    layers, layer = len(detector.cgem), clusters["layer"]
+    problems: list[RowProblem] = []
 
     def refuse(name: str, wrong: Column, expected: str) -> None:
         for row in np.flatnonzero(wrong):
             value = clusters[name][row]
-            got = f"{value:g}" if value.ndim == 0 else value.tolist()
-            problems.append(f"clusters row {row}: {name}: got {got}, {expected}")
+            got = f"{value:g}" if value.ndim == 0 else str(value.tolist())
+            problems.append(RowProblem("clusters", int(row), name, got, expected))
 
-    refuse("layer", (layer < 0) | (layer >= layers), f"expected a CGEM layer of the detector, 0 to {layers - 1}")
+    refuse("layer", (layer < 0) | (layer >= layers), f"a CGEM layer of the detector, 0 to {layers - 1}")
     point = clusters["view"] == XV_CLUSTER
     for name, other, unit in (("phi", "x", "rad"), ("z", "v", "mm")):
         if name in clusters:
             by_position = np.isnan(clusters[name]) & np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
-            refuse(name, point & ~np.isfinite(clusters[name]) & ~by_position, f"expected a finite number, {unit}")
+            refuse(name, point & ~np.isfinite(clusters[name]) & ~by_position, f"a finite number, {unit}")
         if name in clusters:  # in another unit, a position may still lie somewhere on the layer
             most = 2 * np.pi * np.ones(len(layer)) if name == "phi" else _reach(detector, layer)
             by_other = np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
             far = point & ~by_other & np.isfinite(clusters[name]) & (np.abs(clusters[name]) > most)
-            refuse(name, far, f"expected {_RANGES[name]}")
+            refuse(name, far, _RANGES[name])
     for name, largest in (("err_phi", np.pi), ("err_z", 1e5)):  # only their squares reach the fit
         if name in clusters:
-            refuse(name, clusters[name] <= 0, "expected a number above 0")
-            refuse(name, clusters[name] > largest, f"expected at most {largest:.6g}")
+            refuse(name, clusters[name] <= 0, "a number above 0")
+            refuse(name, clusters[name] > largest, f"at most {largest:.6g}")
     if {"cov_phi_z", "err_phi", "err_z"} <= clusters.keys():
         limit = np.abs(clusters["err_phi"] * clusters["err_z"])
         large = (limit > 0) & ~(np.abs(clusters["cov_phi_z"]) < limit)
-        refuse("cov_phi_z", point & large, "expected less in size than err_phi err_z")
+        refuse("cov_phi_z", point & large, "less in size than err_phi err_z")
     if "cov" in clusters:
         cov = clusters["cov"]
         lowest = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2
         good = (cov[:, 0, 1] == cov[:, 1, 0]) & (cov[:, 0, 0] > 0) & (lowest > 0)
-        refuse(
-            "cov", point & ~(good | np.isnan(cov).any(axis=(1, 2))), "expected a symmetric, positive definite matrix"
-        )
+        refuse("cov", point & ~(good | np.isnan(cov).any(axis=(1, 2))), "a symmetric, positive definite matrix")
     return problems + _strip_problems(detector, clusters)
 
 
-def drift_problems(detector: Detector, wires: Columns) -> list[str]:
+def drift_problems(detector: Detector, wires: Columns) -> list[RowProblem]:
     """Say which drift distances are longer than any in their cells: three diagonals, since tracks may turn back there.
 
     Parameters
@@ -162,13 +174,13 @@ def drift_problems(detector: Detector, wires: Columns) -> list[str]:
         beside = [abs(other.r_end - layer.r_end) for other in layers[max(0, place - 1) : place + 2]]
         most = 3 * float(np.hypot(width, max(width, *beside)))
         for row in np.flatnonzero((wires["layer"] == layer.number) & (np.abs(wires["drift"]) > most)):
-            given, expected = wires["drift"][row], f"expected at most three diagonals of a cell, {most:.4g} mm"
+            given, expected = wires["drift"][row], f"at most three diagonals of a cell, {most:.4g} mm"
             if np.isfinite(given):
-                problems.append(f"wire_hits row {row}: drift: got {given:g}, {expected}")
+                problems.append(RowProblem("wire_hits", int(row), "drift", f"{given:g}", expected))
     return problems
 
 
-def _strip_problems(detector: Detector, clusters: Columns) -> list[str]:
+def _strip_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     """Say which clusters of strips, whose position follows from them, have strips that are not there."""
     if not {"first", "last"} <= clusters.keys():
         return []
@@ -180,10 +192,11 @@ def _strip_problems(detector: Detector, clusters: Columns) -> list[str]:
             strips = (one.strips_x, one.strips_v)[is_view]
             mine = (layer == number) & (view == is_view) & np.isnan(position)
             for row in np.flatnonzero(mine & ((first < 0) | (last < first) | (last >= strips))):
-                problems.append(
-                    f"clusters row {row}: first, last: got {first[row]}, {last[row]}; expected strips from 0 to "
-                    f"{strips - 1}, the first not above the last"
+                got, expected = (
+                    f"{first[row]}, {last[row]}",
+                    f"strips from 0 to {strips - 1}, the first not above the last",
                 )
+                problems.append(RowProblem("clusters", int(row), "first, last", got, expected))
     return problems
 
 
@@ -325,16 +338,18 @@ def hit_tables(
     with np.errstate(invalid="ignore"):  # infinite numbers are listed below
         columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
     _raise(problems)
-    problems += value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
-    problems += drift_problems(detector, given["wire_hits"])
-    rows = {line.partition(":")[0] for line in problems}  # X, V and their errors follow from wrong numbers there
-    try:
-        _core.check_hits(compiled(detector), _measurements(*columns))
-    except ValueError as error:
-        lines = dict.fromkeys(line.strip() for line in str(error).splitlines()[1:])
-        if not lines:  # not a list of problems
-            raise
-        problems += [line for line in lines if line.partition(":")[0] not in rows]
+    wrong = value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
+    wrong += drift_problems(detector, given["wire_hits"])
+    rows = {(one.table, one.row) for one in wrong}  # X, V and their errors follow from wrong numbers there
+    measured = _measurements(*columns)
+    listed, count = _core.hit_problems(compiled(detector), measured)
+    tables = np.where(measured["kind"] == HIT_WIRE, "wire_hits", "clusters")
+    wrong += [
+        one for i, *about in listed if (one := RowProblem(tables[i], int(measured["row"][i]), *about))[:2] not in rows
+    ]
+    problems += dict.fromkeys(map(str, wrong))
+    if count > len(listed):
+        problems.append(f"and {count - len(listed)} more")
     if labelled:  # else a finder may tell equal hits apart
         problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
         problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))

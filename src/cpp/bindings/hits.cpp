@@ -8,7 +8,8 @@
 
 namespace cgemit::bindings {
 
-HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ssize_t n) : rules_(detector) {
+HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ssize_t n, bool check)
+    : rules_(detector) {
   const auto get = [&]<class T>(std::span<const T>& to, const char* name, bool needed = true) {
     if (!needed && !columns.contains(name)) return;
     const auto array = bindings::take<T>(columns, name);
@@ -29,7 +30,7 @@ HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ss
     no_sides_.resize(hits_.kind.size());
     hits_.side = no_sides_;
   }
-  check_hits(rules_, hits_);
+  if (check) check_hits(rules_, hits_);
 }
 
 void HitColumns::check_order(std::span<const std::int64_t> offsets) const {
@@ -136,8 +137,13 @@ py::dict collect(const Detector& detector, const py::dict& candidates, const py:
   return out;
 }
 
-void check(const Detector& detector, const py::dict& hits) {
-  HitColumns(detector, hits, static_cast<py::ssize_t>(py::len(hits["kind"])));
+py::tuple problems(const Detector& detector, const py::dict& hits) {
+  const HitColumns columns(detector, hits, static_cast<py::ssize_t>(py::len(hits["kind"])), false);
+  const HitProblems found = columns.problems();
+  py::list listed;
+  for (const HitProblem& one : found.listed)
+    listed.append(py::make_tuple(one.hit, one.name, one.got, one.expected));
+  return py::make_tuple(listed, found.count);
 }
 
 }  // namespace
@@ -146,8 +152,8 @@ void check(const Detector& detector, const py::dict& hits) {
 
 void bind_hits(pybind11::module_& module) {
   namespace py = pybind11;
-  module.def("check_hits", &cgemit::bindings::check, py::arg("detector"), py::arg("hits"),
-             "Raise an error that lists every problem with measurements.");
+  module.def("hit_problems", &cgemit::bindings::problems, py::arg("detector"), py::arg("hits"),
+             "What is wrong with measurements: the first few dozen problems, and their number.");
   module.def("collect_hits", &cgemit::bindings::collect, py::arg("detector"), py::kw_only(),
              py::arg("candidates"), py::arg("candidate_hits"), py::arg("clusters"), py::arg("wire_hits"),
              "Measurements of track candidates as flat columns, ordered from the beam line outward.");

@@ -15,8 +15,10 @@ namespace cgemit::bindings {
 // (0, unknown), k f8 and x f8 (0, see Hit), row i64 (for messages).
 class HitColumns {
  public:
-  // Throws, listing every problem with the hits.
-  HitColumns(const Detector& detector, const pybind11::dict& columns, pybind11::ssize_t n);
+  // Throws, with `check` listing every problem with the hits too.
+  HitColumns(const Detector& detector, const pybind11::dict& columns, pybind11::ssize_t n, bool check = true);
+
+  HitProblems problems() const { return problems_of(rules_, hits_); }
 
   // Throws if the hits of a track are not ordered from the beam line outward.
   void check_order(std::span<const std::int64_t> offsets) const;

@@ -20,11 +20,15 @@ inline std::string to_text(double value) {
 
 class Problems {
  public:
+  static constexpr std::size_t most = 50;  // that are listed
+
   // Only the first few dozen problems are listed; the others are counted.
   void add(std::string text) {
     if (lines_.size() < most) lines_.push_back(std::move(text));
     ++count_;
   }
+  // Counts problems of which no text was made.
+  void skip(std::size_t count) { count_ += count; }
   bool empty() const { return count_ == 0; }
   std::size_t count() const { return count_; }
 
@@ -38,7 +42,6 @@ class Problems {
   }
 
  private:
-  static constexpr std::size_t most = 50;
   std::vector<std::string> lines_;
   std::size_t count_ = 0;
 };

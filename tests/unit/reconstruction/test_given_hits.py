@@ -11,6 +11,7 @@ import pytest
 import cgemit as cg
 from cgemit.detector.parts import crossing_z
 from cgemit.reconstruction.fit import PARAMETERS
+from cgemit.reconstruction.given_hits import RowProblem
 
 PAGE = Path(__file__).parents[3] / "docs" / "own_hits.md"
 DETECTOR = cg.load("besiii-cgem-design")
@@ -282,7 +283,7 @@ def test_one_kind_of_hits_alone(run):
         ),
         (
             {"layer": [0] * 3, "view": [0] * 3, "first": [5, -2, 10], "last": [3, 4, 10**6]}, None,
-            [f"clusters row {row}: first, last: got {pair}; expected strips from 0 to 844, the first not above the last"
+            [f"clusters row {row}: first, last: got {pair}, expected strips from 0 to 844, the first not above the last"
              for row, pair in enumerate(("5, 3", "-2, 4", "10, 1000000"))],
         ),
         (  # degrees, micrometres
@@ -314,6 +315,17 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
     assert [text for text in messages if text not in str(error.value)] == []
     assert len(set(lines := str(error.value).splitlines())) == len(lines)
     assert "sigma: got" not in str(error.value)  # which was not given
+
+
+def test_rows_are_told_by_numbers_not_by_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """X and V follow from a wrong azimuth: the core's complaints about them are left out, whatever texts say."""
+    monkeypatch.setattr(RowProblem, "__str__", lambda one: f"{one.name} of {one.row}")
+    points = {"layer": [0, 1], "phi": [1.0, np.inf], "z": [0.0, 0.0], "err_phi": [1e-3, 1e-3], "err_z": [0.3, 0.3]}
+    wires = {"layer": [8] * 60, "wire": np.arange(60), "drift": [1.0] * 60, "sigma": [0.0] * 60}
+    with pytest.raises(ValueError, match="fit_hits:") as error:
+        cg.fit_hits(DETECTOR, points, wires)
+    sigmas = [f"sigma of {row}" for row in range(48)]  # the core lists 50, two of them X and V of the point
+    assert [line.strip() for line in str(error.value).splitlines()[1:]] == ["phi of 1", *sigmas, "and 12 more"]
 
 
 def test_hits_given_twice(run):

@@ -50,8 +50,7 @@ class Collector {
     if (!problems_.empty()) {
       const HitView view{hits.kind,  hits.layer, hits.channel, hits.size, hits.value,
                          hits.sigma, hits.k,     hits.x,       hits.side, hits.row};
-      for (std::size_t i = 0; i < hits.kind.size(); ++i)
-        if (!rules_.fits(view, i)) rules_.explain(view, i, problems_);
+      add_problems(rules_, view, problems_);
       problems_.raise("hits of candidates");
     }
     return hits;

@@ -2,6 +2,16 @@
 
 namespace cgemit {
 
+namespace {
+
+std::string where(const HitView& hits, std::size_t i) {
+  if (hits.row.empty()) return "hit " + std::to_string(i);
+  const bool wire = hits.kind[i] == static_cast<std::uint8_t>(View::wire);
+  return (wire ? "wire_hits row " : "clusters row ") + std::to_string(hits.row[i]);
+}
+
+}  // namespace
+
 HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
   for (std::size_t i = 0; i < detector.cgem.size(); ++i)
     cgem_[i] = {static_cast<int>(i), detector.cgem[i].sheets, -1};
@@ -21,14 +31,11 @@ HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
   }
 }
 
-void HitRules::explain(const HitView& hits, std::size_t i, Problems& problems) const {
+void HitRules::explain(const HitView& hits, std::size_t i, std::vector<HitProblem>& problems) const {
   const std::uint8_t kind = hits.kind[i];
   const bool wire = kind == static_cast<std::uint8_t>(View::wire), x = kind == 0;
-  const std::string where = hits.row.empty()
-                                ? "hit " + std::to_string(i)
-                                : (wire ? "wire_hits row " : "clusters row ") + std::to_string(hits.row[i]);
-  const auto add = [&](const std::string& name, const std::string& got, const std::string& expected) {
-    problems.add(where + ": " + name + ": got " + got + ", expected " + expected);
+  const auto add = [&](std::string name, std::string got, std::string expected) {
+    problems.push_back({i, std::move(name), std::move(got), std::move(expected)});
   };
   const double value = hits.value[i], sigma = hits.sigma[i];
   const Layer& layer = layer_of(kind, hits.layer[i]);
@@ -53,13 +60,33 @@ void HitRules::explain(const HitView& hits, std::size_t i, Problems& problems) c
   }
 }
 
+HitProblems problems_of(const HitRules& rules, const HitView& hits) {
+  HitProblems found;
+  std::vector<HitProblem> of_hit;
+  for (std::size_t i = 0; i < hits.kind.size(); ++i) {
+    if (rules.fits(hits, i)) continue;
+    of_hit.clear();
+    rules.explain(hits, i, of_hit);
+    found.count += of_hit.size();
+    for (HitProblem& one : of_hit)
+      if (found.listed.size() < Problems::most) found.listed.push_back(std::move(one));
+  }
+  return found;
+}
+
+void add_problems(const HitRules& rules, const HitView& hits, Problems& problems) {
+  const HitProblems found = problems_of(rules, hits);
+  for (const HitProblem& one : found.listed)
+    problems.add(where(hits, one.hit) + ": " + one.name + ": got " + one.got + ", expected " + one.expected);
+  problems.skip(found.count - found.listed.size());
+}
+
 void check_hits(const HitRules& rules, const HitView& hits) {
   bool all = true;
   for (std::size_t i = 0; i < hits.kind.size(); ++i) all &= rules.fits(hits, i);
   if (all) return;
   Problems problems;
-  for (std::size_t i = 0; i < hits.kind.size(); ++i)
-    if (!rules.fits(hits, i)) rules.explain(hits, i, problems);
+  add_problems(rules, hits, problems);
   problems.raise("hits");
 }
 

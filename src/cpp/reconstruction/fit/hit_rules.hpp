@@ -22,6 +22,12 @@ struct HitView {
   std::span<const std::int64_t> row;            // of its table, for messages; may be empty
 };
 
+// What is wrong with a hit: the column, its value and what was expected of it.
+struct HitProblem {
+  std::size_t hit;
+  std::string name, got, expected;
+};
+
 class HitRules {
  public:
   explicit HitRules(const Detector& detector);
@@ -39,8 +45,8 @@ class HitRules {
     const bool numbers = std::abs(value) < HUGE_VAL && sigma > 0 && sigma < HUGE_VAL && hits.size[i] >= 0;
     return exists && numbers && side * side <= 1 && !(side != 0 && value < -most_below * sigma);
   }
-  // Lists the problems of a hit.
-  void explain(const HitView& hits, std::size_t i, Problems& problems) const;
+  // Appends the problems of a hit.
+  void explain(const HitView& hits, std::size_t i, std::vector<HitProblem>& problems) const;
 
  private:
   // Standard deviations that a drift distance may lie below 0. Of 10^15 Gaussian values none is farther.
@@ -62,7 +68,17 @@ class HitRules {
   Layer none_;
 };
 
-// Throws, listing every problem with the hits.
+// The first few dozen problems, and their number.
+struct HitProblems {
+  std::vector<HitProblem> listed;
+  std::size_t count = 0;
+};
+
+HitProblems problems_of(const HitRules& rules, const HitView& hits);
+
+void add_problems(const HitRules& rules, const HitView& hits, Problems& problems);
+
+// Throws, listing them.
 void check_hits(const HitRules& rules, const HitView& hits);
 
 }  // namespace cgemit
