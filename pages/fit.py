@@ -100,7 +100,7 @@ class Pull(Point):
     `parameter` is one of the helix, "p", or a layer of hits ("x0", "v2", "w17"). `tail` is what lies beyond that.
     `bias` is the mean residual over the root mean square of the errors: where the error changes with what is found, as
     that of scattering does with tan(lambda), the mean of the pull is another number. Both are expected to be those of
-    the optimal linear estimate (0 where they were not worked out, the mean only where a pull of the point is off).
+    the optimal linear estimate (None where they were not worked out, the mean only where a pull of the point is off).
     """
 
     parameter: str
@@ -110,8 +110,8 @@ class Pull(Point):
     mean: float
     mean_error: float
     bias: float
-    expected_bias: float
-    expected_mean: float
+    expected_bias: float | None
+    expected_mean: float | None
     tail: float
 
     @property
@@ -342,9 +342,9 @@ def _pull(point: Point, name: str, tracks: Columns, best: Sequence[tuple[Floats,
         numbers = (float(pull[near].std()), 1 / math.sqrt(2 * n), float(pull[near].mean()), 1 / math.sqrt(n))
     bias = float(residual[near].mean() / np.sqrt(np.mean(error[near] ** 2)))
     i = QUANTITIES.index(name)
-    expected = (float(np.mean([one.bias[i] for _, one in best])), float(best[0][1].pull[i])) if best else (0.0, 0.0)
-    expected = expected[0], 0.0 if math.isnan(expected[1]) else expected[1]
-    more = {"bias": bias, "expected_bias": expected[0], "expected_mean": expected[1], "tail": tail}
+    expected_bias = float(np.mean([one.bias[i] for _, one in best])) if best else None
+    expected_mean = float(best[0][1].pull[i]) if best and not math.isnan(best[0][1].pull[i]) else None
+    more = {"bias": bias, "expected_bias": expected_bias, "expected_mean": expected_mean, "tail": tail}
     return Pull(**asdict(point), parameter=name, n=n, **_named(numbers), **more)
 
 
@@ -358,7 +358,7 @@ def _layers(point: Point, sums: _Sums) -> list[Pull]:
         mean = sums.first[name] / n
         width = math.sqrt(sums.second[name] / n - mean**2)
         numbers = (width, 1 / math.sqrt(2 * n), mean, 1 / math.sqrt(n))
-        more = {"bias": mean, "expected_bias": 0.0, "expected_mean": 0.0, "tail": 0.0}
+        more = {"bias": mean, "expected_bias": None, "expected_mean": None, "tail": 0.0}
         rows.append(Pull(**asdict(point), parameter=name, n=int(n), **_named(numbers), **more))
     return rows
 
@@ -523,7 +523,8 @@ def _off(rows: Sequence[Pull]) -> str:
 def _from_optimum(results: FitResults) -> str:
     """Return how far means beyond the tolerance are from those of the optimal estimate, where it is worked out."""
     off = [row for row in results.pulls if row.mode == "gaussian" and row.p > 0.15 and not row.agrees]
-    return f"{max(abs(row.mean - row.expected_mean) for row in off):.3f}" if off else "0"
+    away = [abs(row.mean - row.expected_mean) for row in off if row.expected_mean is not None]
+    return f"{max(away):.3f}" if away else "0"
 
 
 def _chi2_text(results: FitResults) -> str:

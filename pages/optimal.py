@@ -32,12 +32,17 @@ _THICK = 5e-3  # mm, sideways shifts at 1 GeV/c below this are neither simulated
 
 @dataclass(frozen=True)
 class Hit:
-    """A measurement: kind (X, V, WIRE), layer as in the tables, sheet or wire, and its error, mm."""
+    """A measurement: kind (X, V, WIRE), layer as in the tables, sheet or wire, and its error, mm.
+
+    X is unrolled about the azimuth `about`, rad; None: about the first of the tracks that are followed. Tracks on both
+    sides of the edge of a sheet differ by a circumference if `about` crosses it.
+    """
 
     kind: int
     layer: int
     channel: int
     sigma: float
+    about: float | None = None
 
 
 class TurnsBackError(Exception):
@@ -134,10 +139,11 @@ def follow(
 
 
 def _strip(flight: Flight, layer: CgemLayer, hit: Hit) -> Floats:
-    """X or V where the track is in the middle of a drift gap; unrolled about the first track."""
+    """X or V where the track is in the middle of a drift gap."""
     azimuth = np.arctan2(flight.at[1], flight.at[0])
-    first = (azimuth[0] - layer.sheet_phi[hit.channel]) % (2 * np.pi)
-    x = layer.r_readout * (first + np.remainder(azimuth - azimuth[0] + np.pi, 2 * np.pi) - np.pi)
+    about = azimuth[0] if hit.about is None else hit.about
+    first = (about - layer.sheet_phi[hit.channel]) % (2 * np.pi)
+    x = layer.r_readout * (first + np.remainder(azimuth - about + np.pi, 2 * np.pi) - np.pi)
     if hit.kind == X:
         return np.asarray(x, np.float64)
     v = x * np.cos(layer.stereo) + (layer.z_ref - flight.at[2]) * np.sin(layer.stereo)
@@ -351,7 +357,9 @@ def optimum(
     matter : callable
         Makes the slabs that the track meets from detector, tan(lambda) and `cut`.
     """
-    track = _Track(detector, hits, np.asarray(helix, np.float64), mass, cut, matter)
+    helix = np.asarray(helix, np.float64)
+    hits = [replace(hit, about=float(helix[1]) + np.pi / 2) for hit in hits]  # its direction at the origin
+    track = _Track(detector, hits, helix, mass, cut, matter)
     found = _linear(track)
     sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
     by_estimate = _curved(track, found, axes, np.zeros((len(found.noise), 5)))

@@ -8,6 +8,7 @@ import pytest
 from cgemit import _core
 from cgemit.chain.run import run
 from cgemit.detector import compiled, load
+from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings
 from exact import EXACT
@@ -53,6 +54,19 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(out["cov"][0]) / np.diag(best)), 1, atol=0.01)
     for quantity, sigma in errors(helix, best).items():
         assert errors(out["helix"][0], out["cov"][0])[quantity] == pytest.approx(sigma, rel=2e-3), quantity
+
+
+def test_bias_is_the_same_at_the_edge_of_a_sheet() -> None:
+    """Tracks on both sides of the edge, where X begins anew, are as near to each other as elsewhere."""
+    detector, helix, _, hits = track("besiii-cgem-design", 0.3, 0.0)
+    hits = [hit for hit in hits if hit.kind != WIRE]
+    layer, edge = detector.cgem[2], detector.cgem[2].sheet_phi[hits[-1].channel]
+    half_turn = np.arcsin(0.5 * layer.r_mid * helix[2] * detector.field.bz / RADIUS_PER_KAPPA)
+    expected = optimum(detector, hits, helix, MUON, CUT).bias
+    for beside in (-1e-3, 0.0):
+        turned = helix.copy()
+        turned[1] = edge + beside - 0.5 * np.pi + half_turn
+        np.testing.assert_allclose(optimum(detector, hits, turned, MUON, CUT).bias, expected, atol=1e-6)
 
 
 def of_the_table(name: str, p: float, cos_theta: float, matter: Stack) -> np.ndarray:
