@@ -296,7 +296,7 @@ def with_errors_of(model: HitModel, clusterer: Clusterer, detector: Detector) ->
     """
     errors = _errors(clusterer, detector)
     cos_theta = COS_THETA if max(one.shape[1] for one in errors) > 1 else np.zeros(1)
-    x, v, correlation = (np.broadcast_to(one, (len(one), len(cos_theta))).ravel().tolist() for one in errors)
+    x, v, correlation = (one.repeat(len(cos_theta) // one.shape[1], axis=1).ravel().tolist() for one in errors)
     return model | {"cos_theta": cos_theta.tolist(), "sigma_x": x, "sigma_v": v, "corr_xv": correlation}
 
 

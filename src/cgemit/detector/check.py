@@ -120,9 +120,12 @@ def geometry_problems(
             continue
         spans.append(Span(layer.r_in, layer.r_out, layer.half_length, f"cgem.{layer.label}"))
     problems += _overlaps(spans)
-    if chamber and all(layer.cells and layer.half_length for layer in chamber.layers):  # without are no wires
+    if chamber and _has_wires(chamber):
         problems += _chamber_problems(chamber)
-        problems += [problem for span in spans for problem in _wires_inside(span, _sound_layers(chamber))]
+        layers = _sound_layers(chamber)
+        innermost = min((layer.r_mid for layer in layers), default=math.inf)
+        near = [span for span in spans if not span.r_out <= innermost]  # all, if the first radius could not be read
+        problems += [problem for span in near for problem in _wires_inside(span, layers)]
     return problems
 
 
@@ -223,6 +226,12 @@ def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
     return problems
 
 
+@once
+def _has_wires(chamber: DriftChamber) -> bool:
+    return all(layer.cells and layer.half_length for layer in chamber.layers)
+
+
+@once
 def _sound_layers(chamber: DriftChamber) -> list[WireLayer]:
     """Return the layers of wires without problems of their own, which they would only repeat as overlaps."""
     return [layer for layer in chamber.layers if not _wire_problems(layer)]

@@ -221,8 +221,14 @@ def most_lost(layer: CgemLayer, least: int) -> float:
     least : int
         See `enough_electrons`.
     """
-    lowest = float(clusters_per_mm(layer.gas, np.log(ionization_of(layer.gas).betagamma)).min())
-    return 1 - float(enough_electrons(layer.gas, np.array(lowest * layer.drift_gap), least))
+    ionizations = np.array(_fewest_per_mm(layer.gas) * layer.drift_gap)
+    return 1 - float(enough_electrons(layer.gas, ionizations, least))
+
+
+@once
+def _fewest_per_mm(gas: Material) -> float:
+    """Return the ionizations per mm of a minimum ionizing particle."""
+    return float(clusters_per_mm(gas, np.log(ionization_of(gas).betagamma)).min())
 
 
 DEFAULT_IONIZATION = "ar-ic4h10-90-10"
