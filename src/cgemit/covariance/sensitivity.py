@@ -17,7 +17,9 @@ from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.validate import NO, reader
 from cgemit.covariance.analytic import analytic, with_errors_of
 from cgemit.covariance.result import Covariance
+from cgemit.covariance.tracks import core_width
 from cgemit.detector import Detector, load
+from cgemit.detector.keys import once
 from cgemit.detector.parts import CgemLayer, Contents, Labelled
 from cgemit.detector.variants import values_at
 from cgemit.reconstruction.cluster import clusterer_of
@@ -87,6 +89,7 @@ def keeps_order(base: Covariance, core: _core.Detector) -> bool:
     return _core.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
 
 
+@once
 def _with_stereo(variant: Detector, base: Detector) -> Detector:
     """Return a variant whose derived stereo angles follow radius and length continuously, not in whole strips."""
     layers = []
@@ -294,11 +297,17 @@ def logarithmic_slopes(
         own, others = base, with_cores(base, variants)
     else:
         own, *others = with_cores(base, [(detector, core_of(base, detector)), *variants])
-    logs = {name: np.log(own.sigma(name)) for name in quantities}
-    for (number, one), other in zip(neighbours.items(), others, strict=True):
-        for column, name in enumerate(quantities):
-            values[number, column] = (np.log(other.sigma(name)) - logs[name]) / one.step
+    steps = np.array([one.step for one in neighbours.values()]).reshape(-1, *(1,) * base.p.ndim)
+    for column, name in enumerate(quantities):
+        logs = np.log(_sigmas([own, *others], name))
+        values[list(neighbours), column] = (logs[1:] - logs[0]) / steps
     return values, problems
+
+
+def _sigmas(found: Sequence[Covariance], quantity: str) -> Floats:
+    """Return `Covariance.sigma` of detectors with the same tracks, (detectors,) + shape of the points."""
+    every = np.stack([one.variances(quantity) for one in found])
+    return core_width(every.reshape(-1, every.shape[-1])).reshape(every.shape[:-1])
 
 
 class _Neighbour(NamedTuple):
