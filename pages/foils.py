@@ -96,10 +96,10 @@ def measure(share: float) -> Numbers:
 
 def blocks(found: Found) -> dict[str, str]:
     """Return the table of the largest momentum, and what was run."""
-    head = ["observable", "effective", "even − effective", "lattice − even", "lattice − effective"]
+    head = ["observable", "effective", "holes alone", "holes and matter"]
     lines = []
     for row in (row for row in found["effects"].rows if row.p == MOMENTA[-1]):
-        changes = ((row.even, row.even_error), (row.holes, row.holes_error), (row.both, row.both_error))
+        changes = ((row.holes, row.holes_error), (row.both, row.both_error))
         cells = [f"{row.effective:.4g} ± {row.effective_error:.2g}"]
         lines.append([row.observable, *cells, *(f"{change:+.2f} ± {error:.2f} %" for change, error in changes)])
     return {"sample": sample(found["effects"]), "effects": table(head, lines)}
