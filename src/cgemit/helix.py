@@ -263,6 +263,37 @@ def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.Array
     return np.where(outward, 1.0, -1.0) * np.hypot(point[..., 0], point[..., 1])
 
 
+def path_to(radius: npt.ArrayLike, kappa: npt.ArrayLike, bz: float) -> tuple[Floats, Floats]:
+    """Turn and length of tracks from the beam line to a cylinder about it.
+
+    A circle of radius R through the origin meets the radius r where its azimuth has turned by asin(r/2R), the direction
+    by twice that.
+
+    Parameters
+    ----------
+    radius : array_like, mm
+    kappa : array_like, (GeV/c)^-1
+    bz : float
+        T, of either sign.
+
+    Returns
+    -------
+    turned : ndarray, rad
+        Change of the azimuth in size; pi/2 for tracks that turn back before.
+    arc : ndarray, mm
+        Length in the transverse plane; that to the farthest point times r/2R for tracks that turn back before.
+
+    Examples
+    --------
+    >>> turned, arc = cg.helix.path_to(100.0, [0.0, 1.0], bz=-1.0)
+    >>> print(turned.round(5), arc.round(3))  # rad, mm
+    [0.      0.01499] [100.    100.004]
+    """
+    reach = 0.5 * np.abs(np.multiply(radius, np.multiply(bz, kappa))) / RADIUS_PER_KAPPA
+    turned = np.arcsin(np.minimum(reach, 1.0))
+    return turned, np.asarray(np.divide(radius, np.sinc(turned / np.pi)))
+
+
 def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
     """Standard deviation of the momentum.
 

@@ -316,3 +316,13 @@ def test_many_pivots_at_once_and_the_centre():
         helix.change_pivot(parameters, covariance()[None], [0.0, 0, 0], pivots, 1.0)
     with pytest.raises(ValueError, match="broadcast"):
         helix.change_pivot(parameters, cov, [0.0, 0, 0], [[0.0, 0], [1, 1]], 1.0)
+
+
+def test_path_to_a_cylinder():
+    """A quarter of a circle of radius R ends at r = R sqrt 2, where the azimuth has turned by half as much."""
+    size = helix.RADIUS_PER_KAPPA / 0.5
+    turned, arc = helix.path_to([0.5 * size, size * math.sqrt(2), 2 * size, 3 * size], [-1.0] * 4, 0.5)
+    np.testing.assert_allclose(turned, [math.asin(0.25), 0.25 * math.pi, 0.5 * math.pi, 0.5 * math.pi], rtol=1e-7)
+    np.testing.assert_allclose(arc[:3], [2 * size * math.asin(0.25), 0.5 * math.pi * size, math.pi * size], rtol=1e-7)
+    straight = helix.path_to(150.0, [0.0, 1e-12], 1.0)
+    np.testing.assert_allclose(straight, [[0.0, 0.0], [150.0, 150.0]], atol=1e-10)

@@ -22,7 +22,7 @@ from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
 from cgemit.detector.keys import Part, once
 from cgemit.detector.parts import DriftChamber
-from cgemit.helix import RADIUS_PER_KAPPA
+from cgemit.helix import path_to
 from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from cgemit.units import QuantityError, parse_quantity
@@ -95,6 +95,8 @@ class Tracks:
         return {name: np.concatenate([one[name] for one in parts], axis=axis) for name in parts[0]}
 
 
+#: Least cosine of the angle of incidence across the beam; tracks that turn back have none.
+_MOST_SLANTED = 0.141
 #: Largest probability of no clusters that is left out.
 _LEAST_LOSS = 1e-6
 
@@ -117,8 +119,8 @@ def efficiencies_of(detector: Detector, least: int, kappa: Floats, tanl: Floats,
     ln_betagamma = np.log(slant / np.abs(kappa) / mass)
     found = np.ones((len(kappa), len(detector.cgem)))
     for number, layer in enumerate(detector.cgem):
-        sine = np.minimum(0.5 * layer.r_mid * np.abs(detector.field.bz * kappa) / RADIUS_PER_KAPPA, 0.99)
-        path = layer.drift_gap * slant / np.sqrt(1 - sine * sine)
+        turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)
+        path = layer.drift_gap * slant / np.maximum(np.cos(turned), _MOST_SLANTED)
         found[:, number] = enough_electrons(layer.gas, clusters_per_mm(layer.gas, ln_betagamma) * path, least)
     return found
 
@@ -151,10 +153,7 @@ def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np
     maybe = np.flatnonzero(0.5 * np.pi * steep > _NEAR * np.min(half_length / radius))
     if not len(maybe):
         return found
-    with np.errstate(divide="ignore"):
-        diameter = 2 * RADIUS_PER_KAPPA / np.abs(detector.field.bz * kappa[maybe, None])
-        ratio = np.minimum(radius / diameter, 1.0)
-    arc = radius * np.where(ratio > 0, np.arcsin(ratio) / np.where(ratio > 0, ratio, 1.0), 1.0)
+    _, arc = path_to(radius, kappa[maybe, None], detector.field.bz)
     found[maybe] = np.any(steep[maybe, None] * arc > _NEAR * half_length, axis=1)
     return found
 

@@ -11,7 +11,7 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.core import cgem_table, strip_lists
 from cgemit.detector.readouts import BinaryReadout
-from cgemit.helix import RADIUS_PER_KAPPA
+from cgemit.helix import path_to
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
 from cgemit.tables import Table
 
@@ -96,8 +96,6 @@ def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> t
 def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings) -> tuple[Floats, Floats]:
     """Return how far tracks of the reference sample extend across the strips of a layer.
 
-    A helix from the origin of radius R has turned by asin(r/2R) in azimuth at radius r.
-
     Parameters
     ----------
     layer : dict of str to float
@@ -114,15 +112,10 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
     limit = settings.reference_cos_theta
     cos_theta = (np.arange(_POINTS) + 0.5) / _POINTS * 2 * limit - limit
     sin_theta = np.sqrt(1 - cos_theta**2)
-    curvature = 0.5 * abs(bz) / (RADIUS_PER_KAPPA * settings.reference_p * sin_theta)  # 1/2R, 1/mm
     radii = np.array([layer["r_gap_in"], 0.5 * (layer["r_gap_in"] + layer["r_gap_out"]), layer["r_gap_out"]])
-    reach = radii[:, None] * curvature
-    crosses = reach[2] < 1
-    turned = np.arcsin(np.minimum(reach, 1))
-    # Transverse path from the origin; r itself for a straight track.
-    path = np.divide(turned, curvature, out=np.broadcast_to(radii[:, None], turned.shape).copy(), where=curvature > 0)
-    z = path * cos_theta / sin_theta
-    crosses &= np.abs(z[1]) <= layer["half_length"]
+    turned, arc = path_to(radii[:, None], 1 / (settings.reference_p * sin_theta), bz)
+    z = arc * cos_theta / sin_theta
+    crosses = (turned[2] < 0.5 * np.pi) & (np.abs(z[1]) <= layer["half_length"])
     dx = layer["r_readout"] * (turned[2] - turned[0])
     dv = dx * np.cos(layer["stereo"]) - (z[2] - z[0]) * np.sin(layer["stereo"])
     return dx[crosses], np.abs(dv[crosses])
