@@ -9,7 +9,7 @@ import cgemit as cg
 from cgemit.analysis.finding import CLASSES
 from cgemit.analysis.widths import Fraction
 from cgemit.chain.match import match
-from cgemit.reconstruction.candidates import label_candidates
+from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
 from cgemit.reconstruction.fit import fit
 
 
@@ -241,6 +241,22 @@ def test_hits_of_later_half_turns_are_own_hits(run_loops):
     assert [CLASSES[i] for i in finding.classes["belle2"]] == ["matched", "loop"]
     assert (finding.purity, finding.hit_efficiency) == (1, 1)
     assert finding.candidates.of_loops[0] >= 8
+
+
+def test_hits_of_daughters_are_not_pure(run):
+    """They tell whose track it is, and count neither in its purity nor in its efficiency."""
+    links = run.wire_hits["wire_truth"][run.candidate_hits["row"][run.candidate_hits["view"] == HIT_WIRE]]
+    daughter = np.zeros(len(run.wire_truths), "i4")
+    daughter[links[run.wire_truths["event"][links] == 1][:7]] = 1
+    tracks = fit(run.detector, run.clusters, run.wire_hits, run.candidates, run.candidate_hits)["tracks"]
+    matches = match(
+        tracks, run.candidates, run.candidate_hits, run.clusters, run.wire_hits, run.particles, run.truths,
+        run.wire_truths.with_columns(daughter=daughter), detector=run.detector,
+    )["matches"]  # fmt: skip
+    n = np.bincount(run.candidate_hits["candidate"])
+    assert matches["particle"].tolist() == [0] * 4
+    np.testing.assert_allclose(matches["purity"], [1, (n[1] - 7) / n[1], 1, 1])
+    assert matches["efficiency"][1] == 1
 
 
 def test_matches_count_the_first_half_turn(run_loops):

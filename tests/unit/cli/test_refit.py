@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,6 +143,17 @@ def test_options(file, capsys):
     assert "160 um and 150 um" in capsys_help(capsys)
     assert bes3.CLUSTER_ERRORS == (0.16, 0.15)
     assert main([*line, "--cluster-errors", "0", "1 mm"]) == 2
+
+
+def test_json_counts_the_tracks_that_both_have_fitted(file, monkeypatch, capsys):
+    def failing(*how):
+        one = refit(*how)
+        return replace(one, boss=one.boss.with_columns(status=np.where(np.arange(len(one.boss)) < 5, 5, 0)))
+
+    monkeypatch.setattr("cgemit.analysis.refit.refit", failing)
+    assert main(["refit", str(file), "-d", "besiii-cgem-design", "--tracks", "kal", "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)["kal"]
+    assert (about["tracks"], about["fitted"]) == (25, 20)
 
 
 def capsys_help(capsys):

@@ -142,6 +142,22 @@ def test_general_form_is_near_the_published_parameters() -> None:
         assert np.max(np.abs(general.delta(grid) - material.density_effect.delta(grid))) < 0.5
 
 
+@pytest.mark.parametrize(
+    ("c", "excitation", "gas", "x0", "x1"),
+    [
+        (9.9, 50, True, 1.6, 4), (10.4, 50, True, 1.7, 4), (10.9, 50, True, 1.8, 4), (11.4, 50, True, 1.9, 4),
+        (12.2, 50, True, 2.0, 4), (12.3, 50, True, 2.0, 5), (13.79, 50, True, 2.0, 5), (14.0, 50, True, 2.064, 5),
+        (3.6, 99, False, 0.2, 2), (3.7, 99, False, 0.2062, 2), (5.2, 101, False, 0.2, 3), (5.3, 101, False, 0.2278, 3),
+    ],
+)  # fmt: skip
+def test_general_form_as_published(c: float, excitation: float, gas: bool, x0: float, x1: float) -> None:
+    """On both sides of each limit of Sternheimer and Peierls; a makes delta 0 at x0, for any density."""
+    density = (28.816 * math.exp((c - 1) / 2) / excitation) ** -2 / 0.5
+    found = general_density_effect(excitation * 1e-9, 0.5, density, gas)
+    expected = (c, x0, x1, (c - 2 * math.log(10) * x0) / (x1 - x0) ** 3, 3)
+    assert tuple(found) == pytest.approx(expected, rel=1e-12)
+
+
 def test_density_effect_is_continuous() -> None:
     for material in library().values():
         effect = material.density_effect

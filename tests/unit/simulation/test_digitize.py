@@ -335,6 +335,14 @@ def test_first_arrival_wins_a_shared_cell(design):
     assert hits["gid"].tolist() == [484 + 2, 484 + 7, 484 + 76 + 3]
 
 
+def test_later_half_turns_arrive_later(design):
+    """A second half turn that comes 300 ns later loses the cell, though closer; the flight of a first counts not."""
+    truths = gem_toy.wire_truth_columns(0, 8, [7, 7, 2, 2], np.array([5.0, 1.0, 5.0, 1.0]))
+    truths |= {"time": np.array([3.0, 303.0, 3.0, 303.0]), "half_turn": np.array([0, 1, 0, 0], "i1")}
+    hits = read_out(design, wire_truths=truths)["wire_hits"]
+    assert dict(zip(hits["wire"].tolist(), hits["wire_truth"].tolist(), strict=True)) == {7: 0, 2: 3}
+
+
 def test_drift_time_follows_the_table():
     """At its points the table's times, half-way between them the mean, beyond them the last straight line."""
     detector = gem_toy.core_detector(wires=gem_toy.wire_layers(sigma=1e-12))

@@ -7,13 +7,14 @@ import pickle
 import re
 from functools import partial
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
 import cgemit
-from cgemit import Gun, run
+from cgemit import Gun, Settings, load, run
 from cgemit import draw as draw_of_cgemit
 from cgemit.analysis.clusters import cluster_residuals, geant4_runs, v_spectrum, x_spectrum
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum, windowed_resolution
@@ -161,6 +162,28 @@ def test_notes_compare_in_the_right_direction():
     assert results.explain_idc("dr", 300.0, 150.0).startswith("2.00 times the CGEM value")
     assert "10.0 % more than with the nominal gap" in results.explain_gap_variant(3.0, 110.0, 100.0)
     assert results.deviation(90.0, 5.0, 100.0) == "10.0 % below the paper (2.0 standard errors)"
+
+
+def test_notes_hold_the_numbers_of_their_rows(monkeypatch):
+    """The gap and the nominal value; the residuals outside of each window, beside Geant4's RMS in the same one."""
+    detector = load("besiii-cgem-design").with_overrides({"cgem.*.drift_gap": "3 mm"})
+    sample = SimpleNamespace(detector=detector, settings=Settings(), clusters=None)
+    numbers = {name: (value, 1.0) for name, value in (("x_residual_rms", 110.0), ("x_residual_core", 90.0))}
+    monkeypatch.setattr(results, "_x_numbers", lambda _: numbers)
+    more, less = results._gap_rows(sample, dict.fromkeys(numbers, 100.0))
+    assert "10.0 % more than with the nominal gap: in a 3 mm gap" in more.note
+    assert "10.0 % less than with the nominal gap: in a 3 mm gap" in less.note
+    windows = list(results.X_WINDOWS.values())
+
+    def widths(_, window):
+        return SimpleNamespace(rms=200.0, rms_error=1.0, outside=11 + windows.index(window), n=345)
+
+    monkeypatch.setattr(results, "x_widths", widths)
+    for number, row in enumerate(results._window_rows(sample)):
+        few = f"{11 + number} of 345 residuals are outside"
+        assert row.note.startswith(few if number + 1 < len(windows) else "A few clusters decide it")
+        for run_of_geant4 in geant4_runs():
+            assert f"{run_of_geant4.rms[number]} um ({run_of_geant4.title})" in row.note
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,9 @@
 """Scans of a read-out, wrong pairs, and the picture of the signal's formation."""
 
 import csv
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,6 +93,17 @@ def test_formation() -> None:
     assert spread[1] > spread[0] + 0.1
     with pytest.raises(ValueError, match="expected one of tiger, apv25"):
         formation(cg.ProjectionReadout())
+
+
+def test_angles_of_the_command_are_degrees(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    asked: list[Any] = []
+    scan = sys.modules["cgemit.study.readout.scan"]
+    monkeypatch.setattr(scan, "scan", lambda _, what, values, *, angle, **how: asked.append((what, values, angle)))
+    command = ["readout", "--readout", "tiger", "--quiet"]
+    assert main([*command, "--angles", "0 deg:40 deg:3"]) == 0
+    assert main([*command, "--scan", "gain", "--values", "8000", "--angle", "0.5"]) == 0
+    assert asked[0] == ("angle", pytest.approx([0, 20, 40]), pytest.approx(0))
+    assert asked[1] == ("gain", [8000], pytest.approx(np.degrees(0.5)))
 
 
 @pytest.mark.slow
