@@ -60,18 +60,18 @@ class Refit:
         """Whether both fits have succeeded, (n,) bool."""
         return np.asarray((self.ours["status"] == FitStatus.ok) & (self.boss["status"] == FitStatus.ok))
 
-    def summary(self) -> dict[str, dict[str, float]]:
+    def summary(self) -> dict[str, dict[str, Any]]:
         """Return median and half-width of the central 68 % of the differences, by parameter.
 
-        ``diff`` and ``diff_width`` in the parameter's unit, ``pull`` and ``pull_width`` over the experiment's error,
+        ``diff`` and ``diff_width`` in ``unit``, ``pull`` and ``pull_width`` over the experiment's error,
         ``error_ratio``: the median of our error over theirs.
         """
         of = {name: one[self.good] for name, one in self.columns.items()}
         found = {}
         for name in PARAMETERS:
-            ratio = of[f"err_{name}"] / of[f"boss_err_{name}"]
+            ratio, diff = of[f"err_{name}"] / of[f"boss_err_{name}"], QUANTITIES[name].factor * of[f"diff_{name}"]
             found[name] = {
-                "diff": _middle(of[f"diff_{name}"]), "diff_width": _width(of[f"diff_{name}"]),
+                "unit": QUANTITIES[name].unit, "diff": _middle(diff), "diff_width": _width(diff),
                 "pull": _middle(of[f"pull_{name}"]), "pull_width": _width(of[f"pull_{name}"]),
                 "error_ratio": _middle(ratio),
             }  # fmt: skip
@@ -85,9 +85,7 @@ class Refit:
         lines.append(f"  {'':15}{'ours - BOSS':>24}{'over the error of BOSS':>26}{'our error':>12}")
         lines.append(f"  {'':15}{'median':>12}{'68 % within':>12}{'median':>14}{'68 % within':>12}{'/ theirs':>12}")
         for name, row in self.summary().items():
-            known = QUANTITIES[name]
-            diff, width = (f"{known.factor * row[key]:.3g}" for key in ("diff", "diff_width"))
-            label = f"{name} {known.unit}"
+            label, diff, width = f"{name} {row['unit']}", *(f"{row[key]:.3g}" for key in ("diff", "diff_width"))
             lines.append(
                 f"  {label:<16}{diff:>11}{width:>12}{row['pull']:>14.3f}{row['pull_width']:>12.3f}"
                 f"{row['error_ratio']:>12.3f}"

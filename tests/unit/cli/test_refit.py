@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -41,7 +42,7 @@ def test_summary(found):
     row = moved(found, "dz", errors).summary()["dz"]
     assert row["pull"] == pytest.approx(1.0)
     assert row["pull_width"] == pytest.approx(4 * 0.6827 / 2)
-    assert row["diff"] == pytest.approx(np.median(errors * found.boss["err_dz"]))
+    assert (row["unit"], row["diff"]) == ("mm", pytest.approx(np.median(errors * found.boss["err_dz"])))
     assert row["error_ratio"] == pytest.approx(np.median(found.ours["err_dz"] / found.boss["err_dz"]))
 
 
@@ -122,6 +123,10 @@ def test_command(file, run, tmp_path, capsys):
     diff = [float(row["diff_dz"]) for row in rows]
     assert diff == pytest.approx([float(row["dz"]) - float(row["boss_dz"]) for row in rows])
     numbers = json.loads((out / "summary.json").read_text())
+    median = numbers["kal"]["dr"]["diff"]  # in um there and where it is printed, as every quoted number
+    assert numbers["kal"]["dr"]["unit"] == "um"
+    assert median == pytest.approx(1e3 * np.median([float(row["diff_dr"]) for row in rows]))
+    assert re.search(rf"dr um +{median:.3g} ", printed)
     assert numbers["clusters"] == "the positions of the file, with the Lorentz shift of the experiment's software"
     assert numbers["kal"]["dz"]["diff"] == pytest.approx(np.median(diff))
     assert numbers["kal"]["fitted"] == numbers["mdc"]["tracks"] == 25
