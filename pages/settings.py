@@ -81,7 +81,9 @@ def meanings(cls: type[Any]) -> dict[str, str]:
         )
         entries = re.split(r"^(\w+(?:, \w+)*) : .*\n?", section[1] if section else "", flags=re.MULTILINE)[1:]
         for names, text in zip(entries[::2], entries[1::2], strict=True):
-            found |= dict.fromkeys(names.split(", "), " ".join(text.split()).replace("``", "`"))
+            meaning = " ".join(text.split()).replace("``", "`")
+            linked = re.sub(r"docs/(methods/(\w+)\.md)", r"[\2](\1)", meaning)
+            found |= dict.fromkeys(names.split(", "), linked)
     return found
 
 
