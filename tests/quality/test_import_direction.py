@@ -211,6 +211,7 @@ def loaded(program: str) -> set[str]:
 def test_pictures_and_statistics_are_loaded_when_needed() -> None:
     assert loaded("import cgemit") == set()
     assert loaded("import cgemit; cgemit.run, cgemit.analytic") == {"numpy"}
+    assert loaded("import cgemit; cgemit.study") == {"numpy"}
 
 
 def test_help_waits_for_no_pictures_and_statistics() -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from cgemit.analysis.clusters import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
+from cgemit.analysis.resolutions import Pulls, pulls
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.validate import InTurn
 from cgemit.chain import run
@@ -71,6 +73,11 @@ class Sample(Shown, Order):
     removed: Mapping[str, int]
     transport: Mapping[str, int]
     timings: Mapping[str, float]
+
+    @cached_property
+    def pulls(self) -> Pulls:
+        """Pulls of the tracks, see `cgemit.study.pulls`."""
+        return pulls(self.tracks)
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         tracks = f"{fitted(self)}/{len(self.tracks)}"

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from cgemit.analysis.curves import Line
 from cgemit.analysis.quantities import MAIN, QUANTITIES, REPORTED, median, median_error
-from cgemit.analysis.resolutions import FORMS, FormFit, fit_form, pulls, resolution
+from cgemit.analysis.resolutions import FORMS, FormFit, fit_form, resolution
 from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_groups
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import InTurn, check_numbers
@@ -435,7 +435,7 @@ def momentum_line(samples: Sequence[Sample], quantity: str) -> Line:
 
 def pull_line(samples: Sequence[Sample], parameter: str) -> Line:
     """Return the core width of a parameter's pull against momentum (GeV/c)."""
-    return _line(samples, f"pull_{parameter}", [pulls(s.tracks)[parameter] for s in samples], "")
+    return _line(samples, f"pull_{parameter}", [s.pulls[parameter] for s in samples], "")
 
 
 def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str) -> Line:

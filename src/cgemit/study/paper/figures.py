@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit.analysis.clusters import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import MAIN, QUANTITIES
-from cgemit.analysis.resolutions import chi2_probability, pulls, resolution_against
+from cgemit.analysis.resolutions import chi2_probability, resolution_against
 from cgemit.analysis.widths import Resolution
 from cgemit.chain.result import Result
 from cgemit.draw import chain_diagram, cluster, curves, display
@@ -138,7 +138,7 @@ def _against_momentum(study: Reproduction, path: Path, names: Sequence[str]) -> 
 
 def _pulls(study: Reproduction, path: Path) -> Picture:
     samples = {s.detector.name: s for s in (study.samples["cgem"], study.samples["idc"])}
-    widths = {name: pulls(sample.tracks) for name, sample in samples.items()}
+    widths = {name: sample.pulls for name, sample in samples.items()}
     texts = {name: {QUANTITIES[w.parameter].symbol: _width_and_mean(w) for w in each} for name, each in widths.items()}
     columns: dict[str, list[str | float]] = {"detector": [], "parameter": []}
     for name, each in widths.items():

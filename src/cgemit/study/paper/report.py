@@ -9,7 +9,6 @@ import numpy as np
 from cgemit.analysis.clusters import X_WINDOWS, geant4_runs, x_beyond
 from cgemit.analysis.curves import WINDOW, windowed_resolution
 from cgemit.analysis.quantities import QUANTITIES
-from cgemit.analysis.resolutions import pulls
 from cgemit.analysis.widths import HEAD
 from cgemit.base.files import RECORD
 from cgemit.base.version import __version__
@@ -147,9 +146,7 @@ def _resolutions(study: Reproduction) -> list[Part]:
 
 
 def _pulls(study: Reproduction) -> TableOf:
-    rows = [
-        [s.detector.name, QUANTITIES[w.parameter].symbol, *w.cells()] for s in _main(study) for w in pulls(s.tracks)
-    ]
+    rows = [[s.detector.name, QUANTITIES[w.parameter].symbol, *w.cells()] for s in _main(study) for w in s.pulls]
     return TableOf(("detector", "pull of", *HEAD), rows, frozenset(range(2, 8)))
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from cgemit.analysis.quantities import X
 from cgemit.analysis.widths import Resolution, measure
@@ -589,6 +588,8 @@ def scan_ghosts(
 
 def _point(clusters: Table, layer: int, tracks: int, seed: int) -> GhostPoint:
     """Return what the best assignment of all clusters of a sheet gets wrong."""
+    from scipy.optimize import linear_sum_assignment
+
     random = np.random.default_rng(seed)
     pairs = np.flatnonzero((clusters["view"] == 2) & (clusters["layer"] == layer) & (clusters["sheet"] == 0))
     x, v = clusters["x_cluster"][pairs], clusters["v_cluster"][pairs]

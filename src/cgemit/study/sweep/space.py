@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from cgemit.base.errors import DetectorError, Problem, Problems, ProblemsError, did_you_mean
 from cgemit.base.validate import check_whole, is_whole
@@ -178,6 +177,7 @@ def sobol(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Space:
     >>> space.kind, len(space.variants)
     ('sobol', 4)
     """
+    from scipy.stats import qmc
 
     def points(dimensions: int) -> Any:
         with warnings.catch_warnings():
@@ -209,6 +209,8 @@ def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Spac
     >>> space.kind, len(space.variants)
     ('latin_hypercube', 4)
     """
+    from scipy.stats import qmc
+
     return _sampled(
         "latin_hypercube", ranges, (n, seed),
         lambda dimensions: qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed)).random(n),
