@@ -88,11 +88,6 @@ class Point:
         return f"{self.detector}, {self.mode}, {self.particle}, {self.p:g} GeV/c, cos(theta) {self.cos_theta:g}"
 
 
-def point_of(row: Point) -> Point:
-    """Return the point of the grid that a row is about."""
-    return Point(row.mode, row.detector, row.particle, row.p, row.cos_theta)
-
-
 @dataclass(frozen=True)
 class Pull(Point):
     """Width and mean of a pull: of the core in the default simulation, else of all tracks within `FAR`.

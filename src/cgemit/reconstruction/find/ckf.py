@@ -66,7 +66,7 @@ class FindSettings(SettingsData):
         Least logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit (0 in a detector of
         three CGEM layers alone).
     max_seeds : int
-        Seeds of an event and source that are followed, the best first.
+        Most seeds that are followed in an event, of each source, the best first.
     annealing : bool
         Whether a wire hit near several tracks is assigned to the one that it fits best.
 
