@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 import cgemit as cg
-from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, sample, share_of, table
 
 EVENTS, PARTICLES = 10_000, ("mu-", "mu+")
@@ -125,8 +124,8 @@ def blocks(found: Found) -> dict[str, str]:
     for row in found["effects"].rows:
         if row.particle != PARTICLES[0] or " by " in row.title:  # displaced layers: pages/alignment.py shows more
             continue
-        pairs = ((row.p, row.p_error), (row.dr, row.dr_error), (row.dz, row.dz_error))
-        lines.append([row.title, *(with_error(*pair) for pair in pairs), f"{row.width_p:+.1f} %"])
+        changes = [f"{change:+.2f}" for change in (row.p, row.dr, row.dz)]
+        lines.append([row.title, *changes, f"{row.width_p:+.1f} %"])
     return {"sample": sample(found["effects"]), PARTICLES[0]: table(head, lines)}
 
 

@@ -12,7 +12,6 @@ from cgemit.analysis.widths import share_error
 from cgemit.helix import PARAMETERS
 from cgemit.reconstruction.fit import FitStatus, fit
 from cgemit.tables import Table
-from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, share_of, table
 from pages.scenarios import SCENARIOS, Outcome, run_scenario
 
@@ -157,8 +156,8 @@ def blocks(found: Found) -> dict[str, str]:
     for row in found["scenarios"].rows:
         if row.name not in SHOWN:
             continue
-        pairs = ((row.fitted, row.fitted_error), (row.p, row.p_error), (row.dr, row.dr_error))
-        lines.append([f"{row.name}: {row.text}", *(with_error(*pair) for pair in pairs), f"{row.pull_kappa:.2f}"])
+        cells = [f"{row.fitted:.2f}", f"{row.p:.2f}", f"{row.dr:.0f}", f"{row.pull_kappa:.2f}"]
+        lines.append([f"{row.name}: {row.text}", *cells])
     head = ["tracks", "fitted %", "p %", "dr um", "pull of kappa"]
     texts = {"events": found["scenarios"].about["events"], "scenarios": table(head, lines)}
     lines = []
