@@ -216,6 +216,7 @@ def to_toml(detector: Contents) -> str:
     return toml_text(to_dict(detector), in_place=("composition", "density_effect"))
 
 
+@once
 def stored_toml(detector: Contents) -> str:
     """Return the detector file that `write_files` writes, the same in any folder."""
     tables = to_dict(detector)
