@@ -89,7 +89,7 @@ def cluster_residuals(result: Result) -> ClusterResiduals:
     ClusterResiduals
         Empty arrays for a detector without CGEM layers.
     """
-    clusters, truths, detector = result.fitted_hits[0], result.truths, result.detector
+    clusters, truths, detector = result.fitted_clusters, result.truths, result.detector
     own = truth.own_clusters(detector, clusters, truths)
     residual, size, view = (
         truth.residuals(detector, clusters, truths, own),

@@ -112,12 +112,19 @@ class Result:
     @property
     def fitted_hits(self) -> tuple[Table, Table]:
         """Clusters and wire hits as the last fit took them: as measured, or as the reconstruction refined them."""
-        hits = {name: self.tables.get(f"refined_{name}") for name in ("clusters", "wire_hits")}
-        clusters, wire_hits = (
-            getattr(self, name) if table is None else Table(name, table.columns, meta=table.meta, **table.cover)
-            for name, table in hits.items()
-        )
-        return clusters, wire_hits
+        return self.fitted_clusters, self._fitted("wire_hits")
+
+    @property
+    def fitted_clusters(self) -> Table:
+        """The clusters of `fitted_hits`."""
+        return self._fitted("clusters")
+
+    def _fitted(self, name: str) -> Table:
+        refined = self.tables.get(f"refined_{name}")
+        if refined is None:
+            table: Table = getattr(self, name)
+            return table
+        return Table(name, refined.columns, meta=refined.meta, **refined.cover)
 
     @property
     def n_events(self) -> int:

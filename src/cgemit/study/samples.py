@@ -16,7 +16,7 @@ from cgemit.analysis.widths import FEWEST
 from cgemit.base.validate import InTurn
 from cgemit.chain import run
 from cgemit.chain.record import gun_data, record
-from cgemit.chain.settings import FinderLike, Settings
+from cgemit.chain.settings import FinderLike, Settings, tables_made
 from cgemit.detector import Detector, MapField
 from cgemit.detector.parts import extent
 from cgemit.particles.gun import Gun
@@ -123,6 +123,10 @@ def _part_of(progress: ShowProgress | None, before: int, order: Order, total: in
     return lambda fraction: progress((before + order.n_events * fraction) / total, order.label)
 
 
+#: Two thirds of the bytes of a run, which no sample needs.
+_LEFT_OUT = {"wire_truths", "digis", "wire_hits", "refined_wire_hits", "candidate_hits", "residuals", "states"}
+
+
 def _run(order: Order, threads: int | None, progress: Callable[[float], None] | None) -> Sample:
     result = run.run(
         order.detector,
@@ -131,6 +135,7 @@ def _run(order: Order, threads: int | None, progress: Callable[[float], None] | 
         order.seed,
         settings=order.settings,
         finder=order.finder,
+        keep=[name for name in tables_made("fit", order.settings) if name not in _LEFT_OUT],
         progress=progress,
         workers=threads,
     )

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.clusters import cluster_residuals
 from cgemit.analysis.quantities import QUANTITIES, REPORTED
 from cgemit.cli.main import main
 from cgemit.draw.curves import resolutions
@@ -48,6 +49,22 @@ def by_hand(tracks: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         "theta": (1e3 * (theta - true_theta), 1e3 * good["err_tanl"] * np.sin(theta) ** 2),
         "tanl": (1e3 * (good["tanl"] - good["truth_tanl"]), 1e3 * good["err_tanl"]),
     }
+
+
+@pytest.mark.parametrize("finder", ["truth", "ckf"])
+def test_a_sample_has_the_tracks_and_residuals_of_a_whole_run(finder: str) -> None:
+    """Though it keeps a third of the tables; also where clusters and drift times are refined, and states wanted."""
+    settings = cg.Settings(
+        digitize=cg.DigitizeSettings(readout=cg.TigerReadout(second_pass=True), wire_times="raw"),
+        fit=cg.FitSettings(states=("beam_pipe",), residuals=True),
+    )
+    (sample,) = scan(DESIGN, [0.5], cos_theta=0.2, events=30, settings=settings, finder=finder).orders
+    run = cg.run(DESIGN, sample.gun, 30, sample.seed, settings=settings, finder=finder)
+    assert sample.tracks == run.tracks
+    for name, values in vars(cluster_residuals(run)).items():
+        np.testing.assert_array_equal(getattr(sample.clusters, name), values)
+    assert sample.deltas == cg.study.delta_fractions(run)
+    assert (sample.removed, sample.transport) == (run.removed(), run.transport())
 
 
 UNITS = {
