@@ -1,6 +1,7 @@
 """Settings of all tests. The folder `helpers` is on the path, so that tests import them by name."""
 
 import os
+import sys
 
 # Tests run in a process for each core: threads of OpenBLAS would only wait for each other. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -12,7 +13,17 @@ from hypothesis import settings
 settings.register_profile("fixed", derandomize=True, deadline=None, database=None)
 settings.load_profile("fixed")
 
+# jsonschema would compile a grammar of addresses, which no schema here has, for longer than all other imports take.
+sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that rewrites the numbers on file."""
     parser.addoption("--update-golden", action="store_true", help="write tests/golden/*.json anew")
+
+
+@pytest.fixture
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write files without the picture, which take most of the time of a command; with the slow tests all are drawn."""
+    if request.config.getoption("markexpr") == "not slow":
+        monkeypatch.setattr("cgemit.draw.style.Picture.savefig", lambda _, stream, **how: stream.write(b"not drawn"))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 
 from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, analytic, load, resolution, run
 from cgemit.analysis.widths import measure
+from cgemit.chain.result import Result
 from cgemit.covariance.result import Covariance
 from cgemit.detector.gas import ionization, mean_shift
 from cgemit.detector.readouts import AnalogReadout
@@ -219,6 +221,13 @@ def test_analytic_errors_at_one_angle(
 BY_CHARGE = pytest.mark.xfail(strict=True, reason="by charge errors are up to 13 % off, too large for the least charge")
 
 
+@cache
+def tiger_run(second_pass: bool) -> Result:
+    """Return muons of all angles with clusters of TIGER."""
+    gun, readout = Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), TigerReadout(second_pass=second_pass)
+    return run(load("besiii-cgem-design"), gun, 6000, seed=8, readout=readout)
+
+
 @pytest.mark.parametrize("by", [pytest.param("charge", marks=BY_CHARGE), "size"])
 @pytest.mark.parametrize("second_pass", [False, True])
 def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> None:
@@ -226,8 +235,7 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> Non
 
     These, 3 % of all, have a bias and no Gaussian core: their errors must be of the right order.
     """
-    readout = TigerReadout(second_pass=second_pass)
-    result = run(load("besiii-cgem-design"), Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 6000, seed=8, readout=readout)
+    result = tiger_run(second_pass)
     clusters = result.fitted_hits[0]
     own = truth.own_clusters(result.detector, clusters, result.truths)
     pull = truth.residuals(result.detector, clusters, result.truths, own)

@@ -19,7 +19,7 @@ from cgemit.study import measure, pulls
 from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
 from stats import assert_within
 
-N = 10_000
+N = 6000
 HIDDEN = DigitizeSettings(readout="gaussian")
 
 
@@ -81,17 +81,17 @@ def test_pull_gate_sees_a_wrong_field() -> None:
 
 def test_pull_gate_sees_missing_material() -> None:
     """A fit that does not know of the beam pipe fails the gate on the width of the pull of dr."""
-    detector = load("besiii-cgem-design")
+    detector, n = load("besiii-cgem-design"), 10_000
     result = run(
         detector,
         Gun("mu-", p=0.5, cos_theta=0.0),
-        N,
+        n,
         seed=11,
         settings=EXACT,
         fit_detector=dataclasses.replace(detector, beam_pipe=detector.beam_pipe[:1]),
     )
     with pytest.raises(AssertionError, match="standard errors"):
-        assert_within(result.tracks["pull_dr"].std(), 1, 1 / np.sqrt(2 * N), what="width of the pull of dr")
+        assert_within(result.tracks["pull_dr"].std(), 1, 1 / np.sqrt(2 * n), what="width of the pull of dr")
 
 
 @pytest.mark.parametrize("p", [0.2, 0.5, 1.0, 2.0])

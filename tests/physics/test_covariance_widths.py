@@ -81,7 +81,7 @@ def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: f
 def test_binary_clusters_are_a_mixture(detector: str) -> None:
     """RMS of the mixture, with sizes that the strips under the track decide; its core up to the shape of the errors."""
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9))
-    result = cg.run(detector, gun, n=20_000, seed=5, settings=settings("binary", "gaussian"))
+    result = cg.run(detector, gun, n=10_000, seed=5, settings=settings("binary", "gaussian"))
     found = cg.analytic(detector, "mu-", 1.0, (-0.9, 0.9), samples=2048)
     for quantity in ("dr", "dz", "p"):
         core = float(found.sigma(quantity))

@@ -83,7 +83,7 @@ def test_other_cuts_miss_the_core() -> None:
 def test_the_core_ends_in_proportion_to_the_error() -> None:
     """Mean and variance of the core are those of collisions below 2.4 to 2.7 of its sigmas, for any error."""
     for error in (0.05, 1.0, 3.0, 10.0, 30.0):
-        mean, sigma = core(*folded(2000.0, 1.0, error, 2**20))
+        mean, sigma = core(*folded(2000.0, 1.0, error, 2**18))
         mean_cut = 0.0
         for _ in range(20):  # mean = ln(cut/w_max) + 1 - cut/w_max
             mean_cut = 2000.0 * math.exp(mean - 1 + mean_cut / 2000.0)

@@ -16,7 +16,7 @@ SLABS = {
     "like a CGEM layer": [(KAPTON, 0.34), (COPPER, 0.0376), (CARBON, 0.137)],
 }
 FRACTIONS = np.array([0.6827, 0.98, 0.999])
-N = 200_000
+N = 100_000
 
 
 def elements(parts):
@@ -53,9 +53,9 @@ def test_angles_of_single_scatters(name, screening):
     """The 68 and 98 % half widths are within 1.5 % of single scatters drawn one by one, the 99.9 % within errors."""
     parts, p = SLABS[name], 1.0
     per_track = sum(c / a2 for c, a2, _, _ in species(elements(parts), p, MUON, screening))
-    n = int(min(200_000, 4e7 / per_track))
+    n = int(min(2 * N, 4e7 / per_track))
     expected, expected_error = widths(scattered(elements(parts), p, MUON, screening, n, seed=2))
-    out = through(parts, p, screening)
+    out = through(parts, p, screening, 2 * N)
     found, error = widths((out["angle_1"], out["angle_2"]))
     assert found[:2] == pytest.approx(expected[:2], rel=0.015)
     # 2 %: what four hard scatters a slab leave to the Gaussian.
@@ -94,7 +94,7 @@ def test_the_gate_sees_wrong_physics():
 @pytest.mark.parametrize("pieces", [2, 10, 100])
 def test_cutting_changes_nothing(name, pieces):
     """Angles behind 2, 10 or 100 pieces are those behind one: 68, 98 and 99.9 % within errors and 1 %."""
-    parts, n = SLABS[name], 100_000 if pieces < 100 else 30_000
+    parts, n = SLABS[name], 60_000 if pieces < 100 else 15_000
     expected = exact_quantiles(elements(parts), 1.0, MUON, "wentzel", FRACTIONS)
     out = through(parts, 1.0, "wentzel", n, seed=pieces, pieces=pieces)
     found, error = widths((out["angle_1"], out["angle_2"]))

@@ -26,7 +26,7 @@ from exact import EXACT, assert_standard_normal
 from fields import HARMONIC
 
 Floats = npt.NDArray[np.float64]
-N = 4000
+N = 2500
 LAST_LAYER = 31  # outermost wire layer that the fit may use: the chamber goes on to 42
 DETECTOR = load("besiii-cgem-design")
 PIPE = DETECTOR.beam_pipe[0].r_in

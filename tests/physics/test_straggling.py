@@ -81,7 +81,7 @@ def test_quantiles_of_the_loss(matter, thickness, p, mass, pieces):
     """The median is within 1 % and the 99 % quantile within 5 % of the convolution, in one piece or ten."""
     expected = vavilov_quantiles(*straggling(matter, thickness, p, mass))
     found = np.quantile(
-        losses(matter, thickness, p, mass, n=200_000 if pieces == 1 else 100_000, pieces=pieces), FRACTIONS
+        losses(matter, thickness, p, mass, n=100_000 if pieces == 1 else 50_000, pieces=pieces), FRACTIONS
     )
     # In pieces, slow particles slow down on the way: 0.8 % for the kaon.
     assert found[:4] == pytest.approx(expected[:4], rel=0.01)
@@ -94,7 +94,7 @@ def test_quantiles_of_the_loss(matter, thickness, p, mass, pieces):
 @pytest.mark.parametrize("pieces", [2, 10, 100])
 def test_cutting_changes_nothing(pieces):
     """All quantiles of the loss in 14 um of copper are the same in 2, 10 or 100 pieces, within errors and 1 %."""
-    n = 200_000 if pieces < 100 else 30_000
+    n = 100_000 if pieces < 100 else 15_000
     whole = np.quantile(losses(COPPER, 0.014, 1.0, MUON), FRACTIONS)
     cut = losses(COPPER, 0.014, 1.0, MUON, n=n, seed=4, pieces=pieces)
     found = np.quantile(cut, FRACTIONS)

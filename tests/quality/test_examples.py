@@ -114,6 +114,7 @@ def readouts() -> Iterator[None]:
     READOUTS.update(before)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_print_what_they_show(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, readouts: None

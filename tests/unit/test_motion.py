@@ -57,7 +57,7 @@ def assert_same_point(found, expected, size):
     np.testing.assert_allclose(found[5:], expected[5:], rtol=1e-9)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(tracks(), st.floats(0, 1))
 def test_step_outward(track, fraction):
     """A step to a cylinder around the start ends where the integrated path first meets it."""
@@ -74,7 +74,7 @@ def test_step_outward(track, fraction):
     assert np.all(np.hypot(path[:-1, 0], path[:-1, 1]) < radius)
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(tracks(largest_radius=300, log_pt=st.floats(math.log(0.05), math.log(2))), st.floats(0.001, 0.999))
 def test_step_to_a_smaller_cylinder(track, fraction):
     """A smaller cylinder is met twice, moving inward and outward: ahead if the track moves inward, else behind."""
@@ -96,7 +96,7 @@ def test_step_to_a_smaller_cylinder(track, fraction):
         assert np.count_nonzero(below[1:] != below[:-1]) <= (1 if outward == ahead else 0)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(tracks(), st.floats(1e-6, 100), st.booleans(), st.booleans())
 def test_cylinders_out_of_reach(track, margin, beyond, outward):
     """Cylinders beyond the farthest and within the closest point of the circle are not reached; nothing moves."""
@@ -146,7 +146,7 @@ def test_curvature_goes_to_zero_smoothly():
         assert bent[1] - straight[1] == pytest.approx(0.5 * w * length**2, rel=1e-2, abs=1e-12)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(tracks(), st.floats(-3, 3))
 def test_advance(track, turn):
     """Moving by an arc, forward or back, agrees with integration."""
@@ -157,7 +157,7 @@ def test_advance(track, turn):
     assert_same_point(moved[0], integrated(track, arc)[-1], abs(arc) * math.hypot(1, point[5]))
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(tracks(log_pt=st.floats(math.log(0.05), math.log(5))))
 def test_arc_to_apex(track):
     """The apex lies ahead, within one turn, at the largest distance of the circle from the beam line."""
@@ -171,7 +171,7 @@ def test_arc_to_apex(track):
     assert moved[0] * moved[3] + moved[1] * moved[4] == pytest.approx(0, abs=1e-9 * farthest)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(tracks(), st.floats(10, 800))
 def test_charge_and_field_turn_alike(track, radius):
     """Reversing charge and field together changes nothing; reversing one mirrors the turning."""

@@ -132,6 +132,7 @@ def test_geant4_rows_match_the_windows():
     assert len(set(runs[-1].rms)) == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("options", "deltas"), [([], True), (["--no-deltas"], False)])
 def test_switch_of_the_shell(options, deltas, tmp_path, monkeypatch):
     """All commands that simulate know it, and nothing but the simulation changes."""

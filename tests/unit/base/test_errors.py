@@ -90,6 +90,7 @@ def test_overwriting_removes_tables_of_the_run_before(tmp_path):
     assert (folder / "mine.npz").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_resolution_with_angles_in_turn(tmp_path, capsys):
     arguments = ["resolution", "-d", "besiii-idc", "--p", "1", "--cos-theta", "0,0.5", "--events", "60", "--quiet"]
     assert main([*arguments, "-o", str(tmp_path / "x"), "--json"]) == 0

@@ -163,7 +163,7 @@ def test_streamed_parts_make_the_same_run(whole: Result, tmp_path: Path, form: s
 
 
 def test_columns_of_parts_are_those_of_the_whole(whole: Result, tmp_path: Path, small_parts: None) -> None:
-    for form in ("npz", "parquet", "root"):
+    for form in ("npz", "parquet"):
         result = cg.run(DESIGN, GUN, output=cg.Output(tmp_path / form, format=form), **HOW)
         for name in ("cov", "res_dr", "status"):
             assert result.column("tracks", name).tobytes() == whole.tracks[name].tobytes()

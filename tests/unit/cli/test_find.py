@@ -16,6 +16,8 @@ from cgemit.chain import run as chain
 from cgemit.cli.main import main
 from cgemit.draw import curves
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LINE = ["find", "-d", "besiii-cgem", "--pt", "0.1:0.5", "--cos-theta", "-0.6:0.6", "-n", "20", "--quiet"]
 
 

@@ -22,6 +22,8 @@ from cgemit.detector import load, write_field_map
 from cgemit.tables import Table
 from interrupts import on_terminal
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 RESOLUTION = ["resolution", "-d", "besiii-cgem-design", "--p", "0.5,1", "--events", "60", "--quiet"]
 SIMULATE = ["simulate", "-d", "besiii-cgem-design", "--p", "1", "--cos-theta", "-0.5:0.5", "-n", "50", "--quiet"]
 

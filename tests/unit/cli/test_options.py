@@ -32,6 +32,8 @@ from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.scan import Scan, scan
 from cgemit.tables import Table
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 DESIGN = "besiii-cgem-design"
 FILE = '[fit]\nkinks = false\n[cluster]\nposition = "charge"\n[digitize.readout]\nthreshold = 6\n'
 OF_FILE = Settings(

@@ -16,6 +16,8 @@ from cgemit.analysis.refit import Refit, displacement, refit
 from cgemit.cli.main import main
 from cgemit.draw import draw_refit
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 NAMES = (*helix.PARAMETERS, "p")
 
 

@@ -18,6 +18,8 @@ from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study import fit_form, scan, scan_analytic
 from cgemit.study.scan import compared, fits_text, line_momenta, save_scans
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 DESIGN, IDC = "besiii-cgem-design", "besiii-idc"
 MOMENTA = [0.3, 1.0, 0.5]
 UNITS = {"dr": "um", "dz": "mm", "p": "MeV/c"}

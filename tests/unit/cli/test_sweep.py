@@ -23,6 +23,8 @@ from cgemit.detector import load, write_field_map
 from cgemit.study import Evaluation, grid, sweep
 from cgemit.study.sweep.plan import PlanError, read_plan
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 DESIGN = cg.load("besiii-cgem-design")
 
 

@@ -76,7 +76,7 @@ def test_shares_of_clusters_in_a_number_of_electrons(mean: float, number: int) -
     """Of drawn crossings with just this number; few clusters are drawn where few are likely, and weighted back."""
     drawn = min(mean, 0.75 * number)
     clusters, electrons, squares = crossings_drawn(
-        drawn, min(400_000, round(6e6 / drawn)), np.random.default_rng(round(mean) + number)
+        drawn, min(200_000, round(3e6 / drawn)), np.random.default_rng(round(mean) + number)
     )
     here = electrons == number
     weight = (mean / drawn) ** (clusters[here] - number)
@@ -590,7 +590,7 @@ def test_number_is_that_of_free_electrons(tanl: float) -> None:
     From 0.1 ug/cm2, which stops and deflects hardly any. At tanl = 0 all fly outward; else some of those that leave
     inward come back.
     """
-    n = 4_000_000
+    n = 2_000_000
     layer, first = electrons("cathode", "1e-6 g/cm3", n, tanl, slope=0.0)
     energy = np.geomspace(1.0, W_MAX * (1 - 1e-9), 4000)
     length = math.hypot(1, tanl)

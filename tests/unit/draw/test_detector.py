@@ -9,8 +9,13 @@ from matplotlib.patches import Annulus, Rectangle
 from cgemit.detector import detectors, load
 from cgemit.draw.detector import draw_detector, draw_layer, draw_layers, draw_rz, draw_sides, draw_xy
 
+#: Each has other parts; the other presets are variants of them.
+DIFFERENT = {"besiii-cgem", "stcf-like", "kloe2-like"}
 
-@pytest.mark.parametrize("name", list(detectors()))
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in DIFFERENT else pytest.mark.slow) for name in detectors()]
+)
 def test_all_presets_can_be_drawn(name: str) -> None:
     detector = load(name)
     assert draw_detector(detector)._repr_png_().startswith(b"\x89PNG")

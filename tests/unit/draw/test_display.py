@@ -315,6 +315,7 @@ def test_events_with_any_numbers_are_drawn(number):
             cg.draw.event(gaps, wrong)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_display_says_what_it_has_drawn(tmp_path):
     line = ["display", "-d", "besiii-cgem", "--p", "1", "--cos-theta", "0.1", "--seed", "7", "--event", "3", "--quiet"]
     assert main([*line, "--set", "fit.loss=mean", "-o", str(tmp_path / "out")]) == 0

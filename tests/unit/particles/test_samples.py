@@ -343,6 +343,7 @@ def test_mistakes_are_listed_together() -> None:
         cg.sample("ks-pipi", mass=1)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_samples_run_through_the_chain(tmp_path, capsys) -> None:
     """From Python and the command line, with the same tables; a saved run is read back equal."""
     result = cg.run("besiii-cgem-design", cg.sample("pipi-jpsi"), 20, seed=2, finder="ckf")

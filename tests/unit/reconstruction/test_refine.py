@@ -197,7 +197,7 @@ def test_results_do_not_depend_on_chunks_and_threads(finder):
 def test_start_times_are_fitted_from_raw_times(finder):
     """Without the right correction along the tracks, the start time would be wrong by nanoseconds."""
     background = cg.BackgroundSettings(start_time=5.0)
-    found = run(n=200, finder=finder, refine=cg.RefineSettings(start_time="fitted"), background=background)
+    found = run(n=100, finder=finder, refine=cg.RefineSettings(start_time="fitted"), background=background)
     times = found.start_times
     good = times["status"] == 0
     assert good.mean() > 0.97

@@ -101,18 +101,18 @@ def test_the_earliest_hit_of_a_cell_is_kept(run):
     wires = added(run, cells=0.5)["wire_hits"]
     key = np.stack([wires["event"], wires["gid"]])
     assert len(np.unique(key, axis=1).T) == len(wires)
-    times = {(e, g): t for e, g, t in zip(wires["event"], wires["gid"], wires["drift_time"], strict=True)}
-    for event, gid, drift in zip(
-        run.wire_hits["event"], run.wire_hits["gid"], run.wire_hits["drift_time"], strict=True
-    ):
+    names = ("event", "gid", "drift_time")
+    times = {(e, g): t for e, g, t in zip(*(wires[name].tolist() for name in names), strict=True)}
+    for event, gid, drift in zip(*(run.wire_hits[name].tolist() for name in names), strict=True):
         assert times[event, gid] <= drift
     lost = len(run.wire_hits) - np.count_nonzero(wires["wire_truth"] >= 0)
     assert 0.05 < lost / len(run.wire_hits) < 0.4
-    first = dict(
-        zip(zip(run.wire_hits["layer"], run.wire_hits["wire"], strict=True), run.wire_hits["gid"], strict=True)
-    )
-    for layer, wire, gid in zip(wires["layer"], wires["wire"], wires["gid"], strict=True):
-        assert first.get((layer, wire), gid) == gid
+    cells = [
+        list(zip(*(hits[name].tolist() for name in ("layer", "wire", "gid")), strict=True))
+        for hits in (run.wire_hits, wires)
+    ]
+    first = {(layer, wire): gid for layer, wire, gid in cells[0]}
+    assert all(first.get((layer, wire), gid) == gid for layer, wire, gid in cells[1])
 
 
 def test_strips_of_particles_stay_as_they_are(run):

@@ -228,6 +228,7 @@ def test_passage_shows_itself(tmp_path):
     assert files[0].stat().st_size > 20_000
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_prints_tables_or_json_and_draws(tmp_path, capsys):
     arguments = ["slab", "Kapton 300 um + Cu 33 um", "--particle", "pi-", "--p", "0.5", "-n", "5000"]
     assert main(arguments) == 0
@@ -277,8 +278,11 @@ def test_command_explains_bad_input_with_exit_code_2(capsys):
 
 @pytest.mark.parametrize(
     ("text", "particle", "p"),
-    [("H 1 nm", "p", 10), ("Cu 1e-9 mm", "mu-", 1), ("Pb 20 cm", "p", 0.3), ("Ne 1 m", "e+", 0.01)],
-)
+    [
+        pytest.param("H 1 nm", "p", 10, marks=pytest.mark.slow), ("Cu 1e-9 mm", "mu-", 1), ("Pb 20 cm", "p", 0.3),
+        pytest.param("Ne 1 m", "e+", 0.01, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_extremes_are_drawn_and_written(text, particle, p, tmp_path, capsys):
     arguments = ["slab", text, "--particle", particle, "--p", str(p), "-n", "2000", "--quiet"]
     assert main([*arguments, "-o", str(tmp_path / "out")]) == 0

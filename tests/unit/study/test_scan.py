@@ -19,6 +19,8 @@ from cgemit.draw.style import mathematical
 from cgemit.study import measure, scan, scan_analytic
 from cgemit.study.scan import columns_of, difference, save_scans
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 DESIGN = "besiii-cgem-design"
 
 

@@ -446,6 +446,11 @@ def result():
     return replace(found, tables={**found.tables, "vertices": vertices})
 
 
+@pytest.fixture(scope="module")
+def lists(result):
+    return result.to_awkward()
+
+
 def links():
     """Return (table, column, tables linked to by view) of every link."""
     return [(kind, column.name, targets(column)) for kind in SCHEMAS for column in SCHEMAS[kind] if column.links]
@@ -457,9 +462,9 @@ def test_links_are_known():
 
 
 @pytest.mark.parametrize(("kind", "column", "to"), links())
-def test_links_of_lists_per_event(result, kind, column, to):
+def test_links_of_lists_per_event(result, lists, kind, column, to):
     """A local link leads to the row that the link of the flat columns leads to."""
-    lists, table = result.to_awkward(), result.tables[kind]
+    table = result.tables[kind]
     assert len(table) or kind == "steps"
     view = table["view"] if len(to) > 1 else np.zeros(len(table), int)
     for number, event in enumerate(table.events):

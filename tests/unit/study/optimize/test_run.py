@@ -22,6 +22,8 @@ from cgemit.study.optimize.run import KEYS, read_optimize_plan
 from cgemit.study.optimize.search import Descent, Design, Evaluator, rounded, with_failures
 from cgemit.study.sweep.evaluate import Evaluation
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 DESIGN = cg.load("besiii-cgem-design")
 SPACE = {
     "cgem.L1.anode_radius": ("80 mm", "100 mm"),
@@ -386,7 +388,7 @@ def test_an_impossible_start_is_a_problem() -> None:
 
 
 def test_simulation_confirms_the_optimum(found: Optimization) -> None:
-    confirmed = found.confirm(events=5000)
+    confirmed = found.confirm(events=3000)
     assert confirmed["design"].tolist() == [0, found.front[0]]
     assert (np.abs(confirmed["ratio"] - 1) < 4 * confirmed["ratio_error"]).all()
     assert confirmed["ratio_error"].max() < 0.02
@@ -399,7 +401,7 @@ def test_simulation_confirms_the_optimum(found: Optimization) -> None:
 def test_a_confirmation_expects_what_its_tracks_have() -> None:
     space = {"cgem.L1.anode_radius": ("80 mm", "100 mm")}
     found = optimize(DESIGN, space, evaluate=Evaluation(), search=Search(steps=1))
-    (ratio,), (error,) = (found.confirm([0], events=20_000, seed=2)[name] for name in ("ratio", "ratio_error"))
+    (ratio,), (error,) = (found.confirm([0], events=15_000, seed=2)[name] for name in ("ratio", "ratio_error"))
     assert abs(ratio - 1) < 3 * error < 0.02  # 0.96 if the fit allows for delta electrons that are not simulated
     full = found.confirm([0], events=100, fluctuations="full")
     assert full.columns["expected"] == full.columns["optimized"]

@@ -352,6 +352,7 @@ def test_seeds_of_samples_differ():
     assert all(0 <= seed < 2**64 for seed in seeds)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_scan_prints_and_refuses_to_overwrite(tmp_path):
     detector = cgemit.load("besiii-cgem-design")
     result = scan(detector, [0.2, 1.0], cos_theta=0.0, events=50)

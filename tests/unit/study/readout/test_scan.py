@@ -13,6 +13,8 @@ from cgemit.cli.main import main
 from cgemit.detector.gas import transport
 from cgemit.study.readout.scan import QUANTITIES, WAYS, formation, scan, scan_ghosts
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 DESIGN = cg.load("besiii-cgem-design")
 TIGER = cg.TigerReadout()
 
