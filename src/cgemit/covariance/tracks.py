@@ -417,7 +417,7 @@ def _check(arrays: Mapping[str, Floats], p_high: Floats, c_high: Floats, problem
     def check(name: str, fits: npt.NDArray[np.bool_], expected: str) -> None:
         if arrays[name].size == 0:
             problems.note(name, "no number", "one or more")
-        elif not np.all(fits):
+        elif not fits.all():
             problems.note(name, f"{arrays[name][~np.asarray(fits)].flat[0]:g}", expected)
 
     check("p", (arrays["p"] > 0) & np.isfinite(p_high), "positive momenta in GeV/c")
