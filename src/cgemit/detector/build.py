@@ -461,14 +461,15 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
         reader.note("drift_chamber.layers", f"{len(rows)} tables", f"at most {_MOST_WIRE_LAYERS}")
         rows = {}
     for number, row in rows.items():
-        path = f"drift_chamber.layers.{shown(str(number))[1:-1]}"
         if isinstance(row, WireLayer):
             layers.append(row)
         elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
-            found = reader.table(path, row, WireLayer, defaults=common, siblings=rows)
+            found = reader.table(f"drift_chamber.layers.{number}", row, WireLayer, defaults=common, siblings=rows)
             layers.append(WireLayer(number=int(number), **found))
         else:
-            reader.note(path, shown(str(number)), f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}")
+            text = shown(str(number))
+            expected = f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}"
+            reader.note(f"drift_chamber.layers.{text[1:-1]}", text, expected)
     cells = sum(layer.cells for layer in layers)
     if cells > _MOST_CELLS:
         reader.note("drift_chamber.layers", f"{cells} cells", f"at most {_MOST_CELLS}")
