@@ -229,16 +229,16 @@ def test_known_parameters_come_back(quantity, a, b):
 
 @pytest.mark.parametrize("quantity", list(FORMS))
 def test_errors_cover_the_parameters(quantity):
-    """Of 400 curves with Gaussian errors, a and b spread by their errors, and chi2 has its mean."""
-    rng = np.random.default_rng(3)
+    """Of 200 curves with Gaussian errors, a and b spread by their errors, and chi2 has its mean."""
+    rng, n = np.random.default_rng(3), 200
     y = exact(quantity, 0.7, 0.4)
     error = 0.01 * y
-    fits = [fit_form(quantity, P, rng.normal(y, error), error, particle="pi+", cos_theta=COSINE) for _ in range(400)]
+    fits = [fit_form(quantity, P, rng.normal(y, error), error, particle="pi+", cos_theta=COSINE) for _ in range(n)]
     for name, true in (("a", 0.7), ("b", 0.4)):
         pull = np.array([(getattr(one, name) - true) / getattr(one, f"{name}_error") for one in fits])
-        assert abs(pull.mean()) < 4 / 20
-        assert abs(pull.std() - 1) < 4 / math.sqrt(800)
-    assert abs(np.mean([one.chi2 for one in fits]) - 17) < 4 * math.sqrt(34 / 400)
+        assert abs(pull.mean()) < 4 / math.sqrt(n)
+        assert abs(pull.std() - 1) < 4 / math.sqrt(2 * n)
+    assert abs(np.mean([one.chi2 for one in fits]) - 17) < 4 * math.sqrt(34 / n)
 
 
 def test_a_curve_without_errors_has_equal_relative_weights():

@@ -1031,7 +1031,7 @@ def mixture(n: int) -> Table:
 )
 def test_same_rows_as_scalar(name, gun, settings):
     """Every row is the scalar one but for rounding, and no more decisions flip than one row in 10^5."""
-    n = 2000
+    n = 1000
     table = generate(gun, n, seed=3)
     scalar, lanes = (simulated_lanes(kernels, table, settings) for kernels in ("scalar", name))
     np.testing.assert_array_equal(scalar["particles"]["status"], lanes["particles"]["status"])
