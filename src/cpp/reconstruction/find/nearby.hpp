@@ -87,11 +87,13 @@ class NearbyHits {
     CellRange<double, HelixPoint> range;
     // Not met are layers below the closest approach and those that the track does not reach.
     if (!cells_->find(index, at, true, range)) return;
-    const double last = std::min(range.last, range.first + most_cells);
-    for (double c = range.first - beside_; c <= last + beside_; c += 1) {
-      const std::int64_t cell = cell_numbers(layer, c)[0];
+    // Along the flight: cells before the first hit of a particle are no holes.
+    const double side = at.sideways() < 0 ? -1 : 1, begin = side < 0 ? range.last : range.first,
+                 count = std::min(range.last - range.first, most_cells);
+    for (double c = -beside_; c <= count + beside_; c += 1) {
+      const std::int64_t cell = cell_numbers(layer, begin + side * c)[0];
       const std::int32_t id = hits_->at(index, cell);
-      const bool crossed = c >= range.first && c <= last;
+      const bool crossed = c >= 0 && c <= count;
       if (id < 0 ? !crossed : !taken_ && hits_->is_taken(id)) continue;
       Slot<double>& slot = add(step, View::wire, index, id);
       slot.wire = layer.placed[static_cast<std::size_t>(cell)];

@@ -535,6 +535,18 @@ def test_displaced_tracks_and_their_mirror_images(dr, tanl):
     assert cg.study.finding(cg.Result(**(vars(run) | {"tables": tables}))).rates().efficiency.count == 25
 
 
+def test_cells_are_met_in_the_order_of_flight_on_either_side():
+    """A track along a layer crosses many cells; those before its first hit are no holes, in mirror images neither."""
+    rng, n = np.random.default_rng(3), 200
+    kappa, tanl = rng.choice([-1, 1], n) / rng.uniform(0.25, 0.8, n), rng.uniform(-0.9, 0.9, n)
+    helices = np.stack([np.full(n, -130.0), rng.uniform(-np.pi, np.pi, n), kappa, 0 * kappa, tanl], axis=1)
+    run = cg.run("besiii-idc", on_helix(helices, 211), settings=cg.Settings(simulate=QUIET_DISPLACED), until="find")
+    mirror, wires = mirror_image(run.detector, run.wire_hits)
+    found = cg.find_tracks(run.detector, run.clusters, run.wire_hits)["candidate_hits"]
+    image = cg.find_tracks(mirror, run.clusters, wires)["candidate_hits"]
+    assert len(np.unique(found["event"])) == len(np.unique(image["event"])) == n
+
+
 @pytest.mark.parametrize("dead", [(12, 13), (8, 17, 20, 30), (9, 10, 11)])
 def test_displaced_tracks_across_dead_layers(dead):
     run = one_vertex(150.0, 0.6)
