@@ -32,7 +32,7 @@ def track(name: str, p: float, cos_theta: float):
     return detector, helix, found | {"sigma": sigma}, hits
 
 
-@pytest.mark.parametrize("cos_theta", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("cos_theta", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.8])
 @pytest.mark.parametrize("p", [0.2, *(pytest.param(p, marks=pytest.mark.slow) for p in (0.5, 1.0)), 2.0])
 @pytest.mark.parametrize("name", ["besiii-cgem-design", "besiii-idc"])
 def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:

@@ -470,14 +470,16 @@ def test_links_of_lists_per_event(result, lists, kind, column, to):
     for number, event in enumerate(table.events):
         rows = np.flatnonzero(table["event"] == event)
         assert len(lists[kind][number]) == len(rows)
-        for row, local in zip(rows, lists[kind][number][column], strict=True):
+        names = {target: "layer" if "layer" in result.tables[target] else "event" for target in to}
+        there = {target: lists[target][number][name].to_list() for target, name in names.items()}
+        first = {target: np.searchsorted(result.tables[target]["event"], event) for target in to}
+        for row, local in zip(rows, lists[kind][number][column].to_list(), strict=True):
             flat = table[column][row]
             assert (local < 0) == (flat < 0)
             if flat >= 0:
                 target = to[view[row]]
-                name = "layer" if "layer" in result.tables[target] else "event"
-                assert lists[target][number][name][local] == result.tables[target][name][flat]
-                assert local == flat - np.searchsorted(result.tables[target]["event"], event)
+                assert there[target][local] == result.tables[target][names[target]][flat]
+                assert local == flat - first[target]
 
 
 def test_joined_tracks_have_local_links_too(result):
