@@ -31,11 +31,7 @@ PUBLISHED = {
     0: (4.67, 50, 350, 50), 5: (4.75, 114, 330, 110), 10: (5.20, 173, 155, 125), 15: (5.85, 228, 130, 125),
     20: (6.54, 280, 110, 105), 30: (7.90, 380, 110, 105), 40: (9.00, 460, 120, 115),
 }  # fmt: skip
-#: Gain alone, and what was chosen with the rows at 0 and 20 degrees.
-BEAMS = {
-    "gain": cg.Apv25Readout(gain=39_000.0),
-    "tuned": cg.Apv25Readout(gain=54_000.0, jitter=8.5, random_neighbours=True),
-}
+BEAM_CHIP = cg.Apv25Readout(gain=39_000.0)  # nothing but the gain is adjusted
 PITCHES = (300, 400, 500, 650, 800, 1000, 1200)  # um
 SIMULATED = (300, 650, 1200)  # um
 CHIPS = {"binary": "#555555", "tiger": "#0072B2", "apv25": "#D55E00"}
@@ -82,7 +78,6 @@ class Pull:
 class Beam:
     """Number of strips, mean charge (fC) and core widths in X (um) at an angle (deg)."""
 
-    case: str
     angle: int
     strips: float
     charge: float
@@ -178,11 +173,10 @@ def measure_pulls(share: float) -> Numbers:
 def measure_beam(share: float) -> Numbers:
     """Measure a beam of pions at the angles of the test beam, without field."""
     n, rows = share_of(BEAM, share, 300), []
-    for case, readout in BEAMS.items():
-        found = scan.scan(readout, "angle", list(PUBLISHED), bz=0.0, n=n)
-        for angle, (point, _) in zip(PUBLISHED, found.points, strict=True):
-            of = [float(point.widths[name].core) for name in ("centroid", "micro-tpc", "merged", "track")]
-            rows.append(Beam(case, angle, point.size, point.charge, *of))
+    found = scan.scan(BEAM_CHIP, "angle", list(PUBLISHED), bz=0.0, n=n)
+    for angle, (point, _) in zip(PUBLISHED, found.points, strict=True):
+        of = [float(point.widths[name].core) for name in ("centroid", "micro-tpc", "merged", "track")]
+        rows.append(Beam(angle, point.size, point.charge, *of))
     return Numbers(rows, {"events": f"{n} pi- of 150 GeV/c at each angle"})
 
 
@@ -275,28 +269,18 @@ def _pulls(found: Found) -> str:
 
 def _beam(found: Found) -> str:
     head = ["angle", "strips", "centroid [µm]", "micro-TPC [µm]", "merged [µm]", "track's angle [µm]"]
-    rows = {(row.case, row.angle): row for row in found["beam"].rows}
     lines = []
-    for angle, (strips, *published) in PUBLISHED.items():
-        gain, tuned = rows["gain", angle], rows["tuned", angle]
-        three = [
-            f"{there}, {getattr(gain, name):.0f}, {getattr(tuned, name):.0f}"
-            for there, name in zip(published, ("centroid", "line", "merged"), strict=True)
-        ]
-        lines.append(
-            [
-                angle,
-                f"{strips:.2f}, {gain.strips:.2f}, {tuned.strips:.2f}",
-                *three,
-                f"{gain.track:.0f}, {tuned.track:.0f}",
-            ]
-        )
+    for row in found["beam"].rows:
+        strips, *published = PUBLISHED[row.angle]
+        pairs = zip(published, (row.centroid, row.line, row.merged), strict=True)
+        there = [f"{one}, {own:.0f}" for one, own in pairs]
+        lines.append([row.angle, f"{strips:.2f}, {row.strips:.2f}", *there, f"{row.track:.0f}"])
     return table(head, lines)
 
 
 def _charges(found: Found) -> str:
-    tuned = {row.angle: row.charge for row in found["beam"].rows if row.case == "tuned"}
-    return f"{tuned[0]:.0f} and {tuned[20]:.0f}"
+    charge = {row.angle: row.charge for row in found["beam"].rows}
+    return f"{charge[0]:.0f} and {charge[20]:.0f}"
 
 
 def _ghosts(found: Found) -> str:

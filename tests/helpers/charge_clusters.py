@@ -12,7 +12,7 @@ from scipy.stats import norm
 from cgemit.detector import Detector
 from cgemit.detector.gas import drift_columns, practical_range
 from cgemit.detector.readouts import AnalogReadout
-from cgemit.reconstruction.cluster_errors import SLOPE, delays_of, error_inputs, errors_of
+from cgemit.reconstruction.cluster_errors import SLOPE, chip_delays, error_inputs, errors_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -64,6 +64,19 @@ def share_at(detector: Detector, readout: AnalogReadout, layer: int, path: float
     return float(np.interp(path, paths, [np.interp(number, numbers, row) for row in values]))
 
 
+def delay_at(
+    detector: Detector, readout: AnalogReadout, layer: int, view: int, spread: float, charge: Floats
+) -> Floats:
+    """Return the delays (ns) of charges (fC) that arrive within `spread` (ns), linear in the tables of the chip."""
+    tables = chip_delays(detector, readout)
+    spreads = tables["spreads"]
+    number = view * len(detector.cgem) + layer
+    charges = tables["charges"].reshape(2 * len(detector.cgem), -1)[number]
+    rows = tables["delays"].reshape(2 * len(detector.cgem), len(spreads), -1)[number]
+    by_spread = np.array([np.interp(charge, charges, row) for row in rows])
+    return np.array([np.interp(spread, spreads, column) for column in by_spread.T])
+
+
 def expected_cluster(
     detector: Detector, readout: AnalogReadout, layer: int, view: int, strips: tuple[Floats, Floats, Floats],
     slope: float, path: float, *, of_track: bool,
@@ -96,15 +109,11 @@ def expected_cluster(
         return math.sqrt(12 / (12 / plane.gap**2 + s**2 / width))
 
     seen = span(s)
-    charges, delays = delays_of(readout.chip, float(drift["induction"]), plane.threshold)
-    by_spread = [np.interp(charge, charges, row) for row in delays]
-    spread = 20.0 * np.arange(len(delays))
-    delay = np.array([np.interp(seen / plane.velocity, spread, column) for column in np.transpose(by_spread)])
+    delay = delay_at(detector, readout, layer, view, seen / plane.velocity, charge)
     # The first electrons arrive after the drift from the middle of the gap to the last foil, less their height.
     arrival = times - delay - drift["delay"] - one.r_mid / 299.792458
     lost = plane.threshold * n / total
-    height = plane.gap / 2 - plane.velocity * arrival + chip.height
-    height = height + seen * (chip.height_per_span + chip.height_by_threshold * lost)
+    height = plane.gap / 2 - plane.velocity * arrival + seen * chip.height_by_threshold * lost
 
     share = charge / total
     x, h = share @ place, share @ height
@@ -114,10 +123,15 @@ def expected_cluster(
     gain = (1 + (1 / (1 + readout.polya) if readout.gain_fluctuation else 0.0)) / readout.survival - 1
     number = total * 2 / (readout.gain * readout.survival * E_FC)
     single = (1 + gain) / number
+    # Noise moves the leading edge Q (t/rise)^2 of a strip where its time is taken.
+    of_strip = total / n
+    level = readout.chip.level * of_strip if readout.chip.level > 0 else plane.threshold
+    edge = (readout.chip.timing.peak * readout.noise) ** 2 / (4 * level * of_strip)
     all_shares = share_at(detector, readout, layer, path, number)
     largest = max(all_shares - single, 0.0)
     energy = np.array([KEV_PER_ELECTRON * math.sqrt(largest) * number])
     reach = min(float(practical_range(energy)[0]) / DENSITY, FARTHEST)
+    part = min(math.sqrt(largest), 0.75)
     alone = 0.0
     if n == 1:
         least = min(plane.threshold / total, 0.5)
@@ -140,14 +154,14 @@ def expected_cluster(
         variances |= {
             "ionization": chip.ionization * along * all_shares,
             "cut": chip.cut * (plane.threshold / total) ** 2 * n**2 * along,
-            "wide": chip.wide * max(xx - along - width, 0.0),
+            "wide": chip.wide * max(xx - along - width, 0.0) * part / (1 - part),
         }
         return Expected(x - lorentz(0.0), math.sqrt(sum(variances.values())), time, variances)
     slope_variance = 0.0
     if not of_track:
         # The slope that the charge has, weighted with that of a track from the beam line.
         # Noise is no part of the spread of heights. Where the slopes disagree, the track may come from elsewhere.
-        noise = readout.jitter**2 + (n * readout.chip.timing.peak * readout.noise / total) ** 2
+        noise = readout.jitter**2 + edge
         spread_of_heights = max(hh - chip.time * plane.velocity**2 * noise * (1 - squares), 0.0)
         own = spread_of_heights / squares / width
         apart = xh / (spread_of_heights + seen**2 / 12) - s
@@ -155,12 +169,12 @@ def expected_cluster(
         slope_variance = 1 / (own + 1 / prior)
         more = slope_variance * own * apart
         slope, s = slope + more, s + more
-    time_variance = readout.jitter**2 * squares + n * (readout.chip.timing.peak * readout.noise / total) ** 2
+    time_variance = readout.jitter**2 * squares + edge / n
     beside = place - x - s * (height - h)
     variances |= {
-        "height": s**2 * (chip.span * span(s) ** 2 * single + chip.time * plane.velocity**2 * time_variance),
+        "height": s**2 * (chip.span * span(s) ** 2 * all_shares + chip.time * plane.velocity**2 * time_variance),
         "slope": h**2 * slope_variance,
         "cut": chip.cut * (plane.threshold / total * plane.pitch) ** 2 / 12,
-        "wide": chip.wide * max(share @ beside**2 - width, 0.0),
+        "wide": chip.wide * max(share @ beside**2 - width, 0.0) * part / (1 - part),
     }
     return Expected(x - lorentz(h) - slope * h, math.sqrt(sum(variances.values())), time, variances)

@@ -12,7 +12,7 @@ import cgemit as cg
 from borders import Call, deaths, recorded
 from cgemit import _core
 from cgemit.particles.species import compiled_decays
-from cgemit.reconstruction.cluster_errors import expected_errors
+from cgemit.reconstruction.cluster_errors import chip_delays, expected_errors
 
 DESIGN = "besiii-cgem-design"
 
@@ -24,6 +24,7 @@ def calls() -> dict[str, list[Call]]:
     # Materials, chambers and decays are compiled here, whatever other tests have made.
     compiled_decays.cache_clear()
     expected_errors.cache_clear()
+    chip_delays.cache_clear()
     detector = cg.load(DESIGN).with_overrides(
         {"materials.Kapton.density": "1.4321 g/cm3", "drift_chamber.sigma": "131.7 um"}
     )

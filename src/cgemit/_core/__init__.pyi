@@ -258,12 +258,21 @@ def read_out_analog(
     physics: _Columns,
     chip: _Columns,
     share_spread: float,
-    neighbour: float,
-    second_neighbour: float,
+    way: npt.ArrayLike,
+    induced: tuple[npt.ArrayLike, int],
     seed: int,
     gains: _Columns = {},
-    induced: bool = False,
 ) -> dict[str, _Array]: ...
+def strip_delays(
+    *,
+    chip: _Columns,
+    view: dict[str, float],
+    way: npt.ArrayLike,
+    induced: tuple[npt.ArrayLike, int],
+    tracks: _Columns,
+    slopes: npt.ArrayLike,
+    charges: npt.ArrayLike,
+) -> _Array: ...
 def read_out_profiles(
     detector: Detector,
     truths: _Columns,

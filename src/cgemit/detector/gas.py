@@ -70,6 +70,25 @@ def ionization(name: str) -> Ionization:
     )
 
 
+def cluster_sizes(table: Ionization, uniform: Floats) -> Floats:
+    """Return numbers of electrons, (n,), of ionizations for uniform random numbers, (2, n).
+
+    The first ones choose the size or a range of the tail, the second ones the place within it.
+
+    Parameters
+    ----------
+    table : Ionization
+    uniform : (2, n) float64
+        From 0 to 1.
+    """
+    listed = len(table.sizes) - len(table.tail) + 1
+    row = np.searchsorted(table.sizes, uniform[0])
+    low, high = table.tail[:-1], table.tail[1:]
+    part = np.clip(row - listed, 0, len(low) - 1)
+    beyond = 1 / (1 / low[part] - uniform[1] * (1 / low[part] - 1 / high[part]))
+    return np.asarray(np.where(row < listed, row + 1.0, np.floor(beyond)), np.float64)
+
+
 #: Where the size table ends, electrons: beyond, electrons are free ones struck by the particle.
 LARGEST_SIZE = 2000
 
@@ -505,6 +524,7 @@ class LayerDrift(NamedTuple):
     shift: float  # rad, azimuth that the transfer and induction gaps add
     delay: float  # ns, from the first foil to the last one
     induction: float  # ns, of the induction gap
+    lean: float  # rad, azimuth that the induction gap adds
     first_phi: float  # rad, diffusion of one electron in the first transfer gap along phi
     first_z: float  # mm, along z
     cloud_phi: float  # rad, width of the avalanche of one electron at the anode along phi
@@ -559,7 +579,8 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
     gaps = _gaps_behind(layer, transfer, induction)
     sign = math.copysign(1.0, bz)
     tangent = sign * drift.tan_lorentz
-    shift = sign * sum(gap.transport.tan_lorentz * math.log(gap.r_out / gap.r_in) for gap in gaps)
+    shifts = [sign * gap.transport.tan_lorentz * math.log(gap.r_out / gap.r_in) for gap in gaps]
+    shift = sum(shifts)
     if layer.lorentz_shift is not None:
         shift = layer.lorentz_shift / layer.r_readout - tangent * math.log(layer.r_gap_out / layer.r_mid)
     return LayerDrift(
@@ -571,6 +592,7 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
         shift=shift,
         delay=sum((gap.r_out - gap.r_in) / gap.transport.velocity for gap in gaps[:-1]),
         induction=layer.induction_gap / induction.velocity,
+        lean=shifts[-1],
         first_phi=gaps[0].width_phi(),
         first_z=gaps[0].width_z(),
         cloud_phi=math.sqrt(sum(gap.width_phi() ** 2 for gap in gaps)),

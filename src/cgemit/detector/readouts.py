@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import UnionType
-from typing import Annotated, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -149,15 +149,12 @@ class ChipErrors:
     time : float
         On the variance of heights by jitter, and by noise on the leading edge.
     wide : float
-        Share, in the variance, of what the charge is wider than expected.
+        On the variance that charge wider than expected shows, by the share that its largest ionization cluster has.
     line : float
         On the variance of a line fit by its own slope.
-    height : float
-        mm, what to add to all heights.
-    height_per_span : float
-        What to add to heights, over the part of the gap that a strip sees.
     height_by_threshold : float
-        What to add to this, over the thresholds of all strips in the charge of a cluster.
+        What to add to heights, over the part of the gap that a strip sees and the share of the thresholds of all strips
+        in the charge of a cluster.
     """
 
     ionization: float
@@ -167,8 +164,6 @@ class ChipErrors:
     time: float
     wide: float
     line: float
-    height: float
-    height_per_span: float
     height_by_threshold: float
 
 
@@ -249,10 +244,27 @@ class Shaper:
         u = np.asarray(t, np.float64) - self.delay
         return np.where(u > 0, _sum(self.normalised, np.maximum(u, 0.0)), 0.0)
 
-    def pulse(self, t: Floats, duration: float) -> Floats:
-        """Return the amplitude, (n,), at times t, (n,) ns, for a charge of 1 that flows in evenly for `duration` ns."""
+    def pulse(self, t: Floats, duration: float, parts: Floats | None = None) -> Floats:
+        """Return the amplitude for a charge of 1 that flows in for `duration` ns.
+
+        Parameters
+        ----------
+        t : (n,) float64
+            ns, after the begin.
+        duration : float
+            ns.
+        parts : (..., parts) float64 or None
+            Charge in equal parts of the duration; None: it flows in evenly.
+
+        Returns
+        -------
+        ndarray, (..., n) float64
+        """
+        parts = np.ones(1) if parts is None else parts
+        step = duration / parts.shape[-1]
         u = np.asarray(t, np.float64) - self.delay
-        return (self._step(u) - self._step(u - duration)) / duration
+        level = np.array([self._step(u - k * step) for k in range(parts.shape[-1] + 1)])
+        return np.asarray(parts @ (level[:-1] - level[1:]) / step)
 
     def _step(self, u: Floats) -> Floats:
         """Return the integral of the response up to u, (n,), in ns."""
@@ -275,8 +287,8 @@ class Chip:
     ----------
     kind : str
         ``"tiger"``: the branch for the time crosses the threshold, which is the time. `sample_delay` later the branch
-        for the charge is sampled. ``"apv25"``: one branch is sampled `samples` times. The largest sample is the charge,
-        and the time is where the leading edge reaches half of it.
+        for the charge is sampled, which must exceed the threshold, too. ``"apv25"``: one branch is sampled `samples`
+        times. The largest sample is the charge, and the time is where the leading edge reaches half of it.
     timing, charge : Shaper
         Of the two branches; the same one if there is one.
     clock : float
@@ -292,6 +304,34 @@ class Chip:
     clock: float
     sample_delay: float = 0.0
     samples: int = 1
+
+    @property
+    def level(self) -> float:
+        """Where the time is taken on the leading edge, over the charge; 0 is the threshold."""
+        return 0.5 if self.kind == "apv25" else 0.0
+
+
+def chip_arguments(readout: AnalogReadout) -> dict[str, Any]:
+    """Return what the core takes of the chip of a read-out, by name.
+
+    Parameters
+    ----------
+    readout : AnalogReadout
+    """
+    chip = readout.chip
+    return {
+        "kind": chip.kind,
+        "timing": (chip.timing.normalised, chip.timing.delay),
+        "charge": (chip.charge.normalised, chip.charge.delay),
+        "threshold_x": readout.threshold_x,
+        "threshold_v": readout.threshold_v,
+        "noise": readout.noise,
+        "jitter": readout.jitter,
+        "saturation": readout.saturation,
+        "sample_delay": chip.sample_delay,
+        "clock": chip.clock,
+        "samples": chip.samples,
+    }
 
 
 # Shapers and times are those of PARSIFAL (github.com/Hilldar/PARSIFAL).
@@ -332,10 +372,6 @@ class AnalogReadout(Readout):
         Whether electrons move to the centre of the nearest hole of the first foil.
     share_spread : float
         Standard deviation of ln(charge on X / charge on V) of a crossing.
-    neighbour : float
-        Share of a strip's current that each neighbour receives (capacitive coupling).
-    second_neighbour : float
-        The same for the next strips.
     threshold_x, threshold_v : float
         fC, least amplitude of a strip that is read out.
     noise : float
@@ -377,8 +413,6 @@ class AnalogReadout(Readout):
     lorentz: bool = True
     holes: bool = True
     share_spread: Factor = 0.1
-    neighbour: Share = 0.0
-    second_neighbour: Share = 0.0
     threshold_x: Positive = 2.0
     threshold_v: Positive = 2.0
     noise: Noise = 0.5
@@ -413,11 +447,6 @@ class TigerReadout(AnalogReadout):
 class Apv25Readout(AnalogReadout):
     """Samples every 25 ns: the largest is the charge, half of it on the leading edge the time.
 
-    Attributes
-    ----------
-    random_neighbours : bool
-        Whether strips induce charge on their neighbours at random, as in PARSIFAL; in addition to `neighbour`.
-
     Examples
     --------
     >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
@@ -434,7 +463,6 @@ class Apv25Readout(AnalogReadout):
     jitter: Jitter = 7.12
     time_margin: Positive = 100.0
     saturation: Positive = 60.0
-    random_neighbours: bool = False
 
 
 #: Those that measure the charge of strips (`cgemit.reconstruction.cluster_errors`).

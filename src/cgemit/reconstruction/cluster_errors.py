@@ -11,16 +11,17 @@ import tomllib
 from dataclasses import asdict
 from functools import cache, lru_cache
 from importlib import resources
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector
-from cgemit.detector.gas import cluster_shares, clusters_per_mm, drift_columns
+from cgemit.detector.gas import cluster_shares, cluster_sizes, clusters_per_mm, drift_columns, ionization
+from cgemit.detector.induction import WAY, charges_of_plane, cloud_widths
 from cgemit.detector.parts import CgemLayer
-from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, Chip, ChipErrors
+from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, ChipErrors, chip_arguments
 
 Floats = npt.NDArray[np.float64]
 
@@ -82,7 +83,6 @@ def errors_of(readout: ChargeReadout) -> ChipErrors:
 class ErrorInputs(NamedTuple):
     """What the core's formulas take of a detector and a read-out, by the names of its arguments."""
 
-    delays: dict[str, Floats]
     chip: dict[str, float]
     planes: dict[str, Floats]
     shares: dict[str, Floats]
@@ -102,9 +102,7 @@ def error_inputs(detector: Detector, readout: ChargeReadout) -> ErrorInputs:
     ValueError
         If a layer's gas or field has no table of electron transport.
     """
-    return ErrorInputs(
-        _delays(detector, readout), _chip(readout), _planes(detector, readout), _shares(detector, readout)
-    )
+    return ErrorInputs(_chip(readout), _planes(detector, readout), _shares(detector, readout))
 
 
 def _gain_variance(readout: ChargeReadout) -> float:
@@ -117,14 +115,15 @@ def _gain_variance(readout: ChargeReadout) -> float:
 
 def _chip(readout: ChargeReadout) -> dict[str, float]:
     found = asdict(errors_of(readout)) | {
-        "noise": readout.noise, "jitter": 0.0, "rise": 0.0, "gain_variance": _gain_variance(readout), "slope": SLOPE,
-        "share_spread": 0.0,
+        "noise": readout.noise, "jitter": 0.0, "rise": 0.0, "level": 0.5, "gain_variance": _gain_variance(readout),
+        "slope": SLOPE, "share_spread": 0.0,
     }  # fmt: skip
     survival = 1.0
     if isinstance(readout, AnalogReadout):
         survival = readout.survival
         found |= {
-            "jitter": readout.jitter, "rise": readout.chip.timing.peak, "share_spread": readout.share_spread,
+            "jitter": readout.jitter, "rise": readout.chip.timing.peak, "level": readout.chip.level,
+            "share_spread": readout.share_spread,
         }  # fmt: skip
     return found | {"electrons_per_fC": 2 / (readout.gain * survival * ELECTRON)}  # a view has half of the charge
 
@@ -143,7 +142,9 @@ def _planes(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
             pitch = layer.pitch_x if view == 0 else layer.pitch_v
             if isinstance(readout, AnalogReadout):
                 drift = {name: float(one[number]) for name, one in drift_columns(detector).items()}
-                widths = drift["velocity"], *_widths(layer, readout, drift, view)
+                cloud = float(cloud_widths(detector, readout.diffusion)[view, number]) ** 2
+                place = _place_variance(layer, readout, drift, view)
+                widths = drift["velocity"], place, cloud
             else:
                 widths = 1.0, 0.0, readout.sigma**2
             rows.append((pitch, layer.drift_gap, *widths, threshold))
@@ -151,21 +152,16 @@ def _planes(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
     return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
 
 
-def _widths(layer: CgemLayer, readout: AnalogReadout, drift: dict[str, float], view: int) -> tuple[float, float]:
-    """Return the variances of an electron's place and of its avalanche across the strips of a view, mm2."""
+def _place_variance(layer: CgemLayer, readout: AnalogReadout, drift: dict[str, float], view: int) -> float:
+    """Return the variance of an electron's place across the strips of a view, mm2."""
     scale, half = layer.r_readout / layer.r_mid, layer.drift_gap / 2
     holes = _HOLES * layer.hole_pitch**2 if readout.holes else 0.0
-    few = readout.diffusion**2 / readout.first_gain
-    factor = readout.diffusion**2
-    place_x = (
+    factor, few = readout.diffusion**2, readout.diffusion**2 / readout.first_gain
+    along_x = (
         factor * (scale * drift["sigma_x"]) ** 2 * half + holes + few * (layer.r_readout * drift["first_phi"]) ** 2
     )
-    place_z = factor * drift["sigma_par"] ** 2 * half + holes + few * drift["first_z"] ** 2
-    cloud_x, cloud_z = factor * (layer.r_readout * drift["cloud_phi"]) ** 2, factor * drift["cloud_z"] ** 2
-    if view == 0:
-        return place_x, cloud_x
-    across, along = math.cos(layer.stereo) ** 2, math.sin(layer.stereo) ** 2
-    return across * place_x + along * place_z, across * cloud_x + along * cloud_z
+    along_z = factor * drift["sigma_par"] ** 2 * half + holes + few * drift["first_z"] ** 2
+    return along_x if view == 0 else math.cos(layer.stereo) ** 2 * along_x + math.sin(layer.stereo) ** 2 * along_z
 
 
 def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
@@ -190,80 +186,65 @@ def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
     }
 
 
-def _delays(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
-    """Return the delays of the chip, see ``DelayTable`` of the core."""
-    layers = len(detector.cgem)
-    if not isinstance(readout, AnalogReadout):
-        return {"spreads": np.zeros(1), "charges": np.tile([0.0, 1.0], 2 * layers), "delays": np.zeros(4 * layers)}
-    induction = drift_columns(detector)["induction"]
-    thresholds = (readout.threshold_x, readout.threshold_v)
-    rows = [delays_of(readout.chip, float(duration), one) for duration in induction for one in thresholds]
-    charges, delays = ([row[i].ravel() for row in rows] for i in (0, 1))
-    empty = np.zeros(0)
+_TRACKS = 1000  # beside strips, whose delays are averaged
+_CHARGES = 64  # in a table of delays
+_LARGEST = 200.0  # fC, of the table
+
+
+@lru_cache(maxsize=16)
+def _drifting(gas: str, clusters: float, gain_variance: float) -> dict[str, npt.NDArray[Any]]:
+    """Return random tracks through a gap with a mean number of ionization clusters, as the core takes them."""
+    table, random = ionization(gas), np.random.default_rng(1)
+    number = np.maximum(random.poisson(clusters, _TRACKS), 1)
+    first = np.concatenate([[0], np.cumsum(number)])
+    electrons = cluster_sizes(table, random.random((2, first[-1])))
+    # The charge of i electrons is a gamma variate of the variance i times that of one.
+    shape = electrons / gain_variance if gain_variance > 0 else np.inf
+    charge = electrons if gain_variance == 0 else gain_variance * random.gamma(shape)
     return {
-        "spreads": _SPREADS,
-        "charges": np.concatenate(charges or [empty]),
-        "delays": np.concatenate(delays or [empty]),
+        "first": first,
+        "height": random.uniform(-0.5, 0.5, first[-1]),
+        "charge": charge,
+        "place": (random.permutation(_TRACKS) + 0.5) / _TRACKS - 0.5,
     }
 
 
-_POINTS = 64  # of charge, in the table of a leading edge
-_LARGEST = 200.0  # fC, of the table
-_STEP = 0.5  # ns, in which pulses are followed
+@lru_cache(maxsize=64)
+def chip_delays(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+    """Return the delays of the chip for X, then V of all layers, see ``DelayTable`` of the core.
 
-
-@lru_cache(maxsize=256)
-def delays_of(chip: Chip, duration: float, threshold: float) -> tuple[Floats, Floats]:
-    """Return when a chip measures charge that arrives evenly within a time, after its mean arrival.
+    The mean over tracks with fluctuating ionization, for strips that see parts of the gap.
 
     Parameters
     ----------
-    chip : Chip
-    duration : float
-        ns, of the current of an electron.
-    threshold : float
-        fC.
-
-    Returns
-    -------
-    charges : ndarray, (64,) float64, fC, growing
-        As the chip measures them.
-    delays : ndarray, (14, 64) float64, ns
-        For charge that arrives within 0 to 260 ns in equal steps.
+    detector : Detector
+    readout : ChargeReadout
     """
-    times = np.arange(0.0, 700.0, _STEP)
-    charges = np.geomspace(1.02 * threshold, max(_LARGEST, 100 * threshold), _POINTS)
-    delays = np.empty((len(_SPREADS), _POINTS))
-    for row, spread in zip(delays, _SPREADS, strict=True):
-        evenly = np.full(max(1, round(spread / _STEP)), 1.0)
-        edge, sampled = (
-            np.convolve(shaper.pulse(times, duration), evenly / len(evenly))[: len(times)]
-            for shaper in (chip.timing, chip.charge)
-        )
-        if chip.kind == "tiger":
-            rise = slice(0, int(edge.argmax()) + 1)
-            true = np.geomspace(1.01 * threshold / edge.max(), 2 * charges[-1], 4 * _POINTS)
-            crossed = np.interp(threshold / true, edge[rise], times[rise])
-            measured = true * np.interp(crossed + chip.sample_delay, times, sampled)
-            order = np.argsort(measured)
-            row[:] = np.interp(charges, measured[order], crossed[order]) - spread / 2
-        else:
-            row[:] = _half_height(chip, times, edge) - spread / 2
-    return charges, delays
-
-
-def _half_height(chip: Chip, times: Floats, edge: Floats) -> float:
-    """Return the mean time at which samples of a pulse reach half of the largest one, ns after its begin."""
-    sampled = chip.clock * np.arange(chip.samples, dtype=np.float64)
-    found = []
-    for phase in np.arange(0.5, chip.clock, 2.0):  # ns, of the begin after a sample
-        begin = 4 * chip.clock + float(phase)
-        samples = np.interp(sampled - begin, times, edge, left=0.0)
-        top = int(samples.argmax())
-        first = int(np.flatnonzero(samples[: top + 1] <= 0.5 * samples[top])[-1])
-        rise = samples[first + 1] - samples[first]
-        found.append(sampled[first] + chip.clock * (0.5 * samples[top] - samples[first]) / rise - begin)
-    return float(np.mean(found))
+    planes = _planes(detector, readout)
+    n = len(planes["pitch"])
+    if not isinstance(readout, AnalogReadout):
+        return {"spreads": np.zeros(1), "charges": np.tile([0.0, 1.0], n), "delays": np.zeros(2 * n)}
+    induction = np.tile(drift_columns(detector)["induction"], 2)
+    charges, delays = np.empty((n, _CHARGES)), np.empty((n, len(_SPREADS), _CHARGES))
+    for i, layer in enumerate(detector.cgem * 2):
+        pitch, gap, velocity, place, cloud, threshold = (float(column[i]) for column in planes.values())
+        width = math.sqrt(place + cloud)
+        # The slopes with which a strip sees parts of the gap.
+        seen = np.clip(_SPREADS * velocity, 0.05 * gap, gap)
+        slopes = np.sqrt(12 * (width**2 + pitch**2 / 12) * np.maximum(1 / seen**2 - 1 / gap**2, 0))
+        clusters = float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * gap
+        charges[i] = np.geomspace(1.02 * threshold, max(_LARGEST, 100 * threshold), _CHARGES)
+        delays[i] = _core.strip_delays(
+            chip=chip_arguments(readout),
+            view={
+                "pitch": pitch, "gap": gap, "velocity": velocity, "duration": float(induction[i]),
+                "margin": 2 * width, "threshold": threshold,
+            },
+            way=WAY, induced=charges_of_plane(pitch, layer.induction_gap, width),
+            tracks=_drifting(layer.gas.ionization, clusters, _gain_variance(readout)),
+            slopes=slopes, charges=charges[i],
+        )  # fmt: skip
+    return {"spreads": _SPREADS, "charges": charges.ravel(), "delays": delays.ravel()}
 
 
 class Expected(NamedTuple):

@@ -24,14 +24,13 @@ from cgemit.detector.parts import seen_by
 from cgemit.detector.readouts import (
     READOUTS,
     AnalogReadout,
-    Apv25Readout,
     BinaryReadout,
     GaussianReadout,
     ProjectionReadout,
     Readout,
     part_of,
 )
-from cgemit.simulation.digitizers.analog import AnalogDigitizer, Apv25Digitizer
+from cgemit.simulation.digitizers.analog import AnalogDigitizer
 from cgemit.simulation.digitizers.binary import BinaryDigitizer
 from cgemit.simulation.digitizers.digitizer import Digitizer
 from cgemit.simulation.digitizers.gaussian import GaussianDigitizer
@@ -111,7 +110,6 @@ DIGITIZERS: dict[type[Readout], type[Digitizer]] = {
     BinaryReadout: BinaryDigitizer,
     GaussianReadout: GaussianDigitizer,
     AnalogReadout: AnalogDigitizer,
-    Apv25Readout: Apv25Digitizer,
     ProjectionReadout: ProjectionDigitizer,
 }
 

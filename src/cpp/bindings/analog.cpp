@@ -1,6 +1,11 @@
 #include "simulation/digitize/analog.hpp"
 
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
 
 #include "bindings/arrays.hpp"
 #include "bindings/digi_tables.hpp"
@@ -9,7 +14,7 @@
 #include "bindings/part.hpp"
 #include "bindings/settings.hpp"
 #include "kernels/kernels.hpp"
-#include "simulation/digitize/induced.hpp"
+#include "simulation/digitize/strip_delays.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -123,6 +128,30 @@ void check(Problems& problems, const Chip& chip) {
   part.within("clock", chip.clock, tiny, longest / most_samples);
 }
 
+// `charges`: an array (planes, places, nodes, strips); `reach`: the strips on either side of an avalanche.
+InducedCharge induced_charge(const Array<double>& way, const Array<double>& charges, std::size_t reach,
+                             std::size_t planes) {
+  constexpr std::size_t nodes = InducedCharge::nodes;
+  InducedCharge found{.way = {}, .phases = 0, .reach = reach, .charge = {}};
+  const auto nodes_at = column(way, "way", static_cast<py::ssize_t>(nodes));
+  std::ranges::copy(nodes_at, found.way.begin());
+  for (std::size_t k = 0; k < nodes; ++k) {
+    if (!(found.way[k] >= (k == 0 ? 0 : std::nextafter(found.way[k - 1], 1)) && found.way[k] <= 1))
+      throw std::invalid_argument("way: expected growing numbers from 0 to 1");
+  }
+  if (charges.ndim() != 4 || charges.shape(1) < 2 || reach > 10'000)
+    throw std::invalid_argument("induced: expected charges (planes, places, nodes, strips)");
+  found.phases = static_cast<std::size_t>(charges.shape(1)) - 1;
+  found.charge = {charges.data(), static_cast<std::size_t>(charges.size())};
+  if (found.charge.size() != planes * found.plane_size())
+    throw std::invalid_argument("induced: expected X and V of all layers, 5 nodes and 2 reach + 1 strips");
+  for (const double charge : found.charge) {
+    if (!(std::abs(charge) <= 1 + tiny))
+      throw std::invalid_argument("induced: expected charges of at most 1");
+  }
+  return found;
+}
+
 void check(const AnalogModel& readout) {
   Problems problems;
   for (std::size_t i = 0; i < readout.drift.size(); ++i) check(problems, readout.drift[i], i);
@@ -130,36 +159,71 @@ void check(const AnalogModel& readout) {
   check(problems, readout.chip);
   const Part part(problems, "read-out");
   part.within("share_spread", readout.share_spread, 0, far);
-  part.within("neighbour", readout.neighbour, 0, 1);
-  part.within("second_neighbour", readout.second, 0, 1);
   problems.raise("read_out_analog");
 }
 
 py::dict analog(const Detector& detector, const py::dict& table, const py::dict& step_table,
                 const py::dict& drift, const py::dict& physics, const py::dict& chip_values,
-                double share_spread, double neighbour, double second_neighbour, std::uint64_t seed,
-                const py::dict& gain_table, bool induced) {
+                double share_spread, const Array<double>& way,
+                const std::pair<Array<double>, std::size_t>& induced, std::uint64_t seed,
+                const py::dict& gain_table) {
   Inputs in(table, "event"), step_in(step_table, "event");
   const TruthColumns truths = truth_columns(in);
   const StepColumns steps = step_columns(step_in);
   const std::vector<LayerDrift> layers = layer_drift(drift, detector);
-  const AnalogModel readout{.drift = layers,
-                            .physics = electron_physics(physics),
-                            .chip = chip(chip_values),
-                            .share_spread = share_spread,
-                            .neighbour = neighbour,
-                            .second = second_neighbour,
-                            .seed = seed};
+  const AnalogModel readout{
+      .drift = layers,
+      .physics = electron_physics(physics),
+      .chip = chip(chip_values),
+      .share_spread = share_spread,
+      .induced = induced_charge(way, induced.first, induced.second, 2 * detector.cgem.size()),
+      .seed = seed};
   check(readout);
   const GainMaps gains = gain_maps(detector, gain_table);
   DigiColumns digis;
   {
     py::gil_scoped_release release;
     kernels().read_out_analog(detector, truths, steps, readout, gains, digis);
-    if (induced)
-      digis = with_induced(detector, digis, {readout.chip.threshold, readout.chip.saturation, seed});
   }
   return to_dict(std::move(digis));
+}
+
+Array<double> delays(const py::dict& chip_values, const py::dict& view, const Array<double>& way,
+                     const std::pair<Array<double>, std::size_t>& induced, const py::dict& tracks,
+                     const Array<double>& slopes, const Array<double>& charges) {
+  const Chip front_end = chip(chip_values);
+  Settings in("view", view);
+  const StripView strips{.induced = induced_charge(way, induced.first, induced.second, 1),
+                         .pitch = in["pitch"],
+                         .gap = in["gap"],
+                         .velocity = in["velocity"],
+                         .duration = in["duration"],
+                         .margin = in["margin"],
+                         .threshold = in["threshold"]};
+  in.check();
+  Problems problems;
+  check(problems, front_end);
+  const Part part(problems, "view");
+  for (const double length : {strips.pitch, strips.gap, strips.velocity, strips.duration, strips.threshold})
+    part.within("pitch, gap, velocity, duration, threshold", length, tiny, far);
+  part.within("margin", strips.margin, 0, far);
+  part.within("gap / velocity", strips.gap / strips.velocity + strips.duration, 0, longest);
+  const auto first = take<std::int64_t>(tracks, "first");
+  const auto height = take<double>(tracks, "height"), charge = take<double>(tracks, "charge"),
+             place = take<double>(tracks, "place");
+  const DriftingTracks drifting{column(first, "first", place.size() + 1), column(height, "height"),
+                                column(charge, "charge", height.size()), column(place, "place")};
+  for (const double one : drifting.height) part.within("height", one, -0.5, 0.5);
+  for (const double one : drifting.charge) part.within("charge", one, 0, far);
+  const auto n = static_cast<std::int64_t>(drifting.height.size());
+  if (drifting.first.front() != 0 || drifting.first.back() != n || !std::ranges::is_sorted(drifting.first))
+    problems.add("first: expected growing numbers from 0 to the number of clusters");
+  const auto values = column(charges, "charges");
+  if (values.empty() || !std::ranges::is_sorted(values) || !(values.front() > 0))
+    problems.add("charges: expected growing ones above 0");
+  problems.raise("strip_delays");
+  const auto found = strip_delays(front_end, strips, drifting, column(slopes, "slopes"), values);
+  return Array<double>({slopes.size(), charges.size()}, found.data());
 }
 
 }  // namespace
@@ -167,7 +231,9 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
 void bind_analog(py::module_& module) {
   module.def("read_out_analog", &analog, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("drift"), py::arg("physics"), py::arg("chip"), py::arg("share_spread"),
-             py::arg("neighbour"), py::arg("second_neighbour"), py::arg("seed"),
-             py::arg("gains") = py::dict(), py::arg("induced") = false,
+             py::arg("way"), py::arg("induced"), py::arg("seed"), py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: electrons, avalanches, currents, chip.");
+  module.def("strip_delays", &delays, py::kw_only(), py::arg("chip"), py::arg("view"), py::arg("way"),
+             py::arg("induced"), py::arg("tracks"), py::arg("slopes"), py::arg("charges"),
+             "Delays (ns) with which a chip measures charges, after their mean arrival, (slopes, charges).");
 }

@@ -27,8 +27,8 @@
 #include "reconstruction/find/bit_counts.hpp"
 #include "reconstruction/find/compete.hpp"
 #include "reconstruction/fit/seed.hpp"
+#include "simulation/digitize/analog_batch.hpp"
 #include "simulation/digitize/avalanche.hpp"
-#include "simulation/digitize/induced.hpp"
 #include "simulation/digitize/projection.hpp"
 #include "simulation/digitize/shaper.hpp"
 
@@ -222,10 +222,6 @@ py::dict follow_electrons(const Detector& detector, int layer, double w, double 
   return out;
 }
 
-py::tuple induced_by(double charge) {
-  return py::make_tuple(induced_probability(charge), induced_share(charge), induced_delay(charge));
-}
-
 py::array_t<double> amplitudes(const Array<double>& terms, double dt, const Array<double>& steps) {
   StepFilter<Shaper::most> filter(
       Shaper(matrix(terms, "terms", terms.ndim() == 2 ? terms.shape(0) : 0, 3), 0.0), dt);
@@ -251,24 +247,39 @@ py::tuple holes(double pitch, const Array<double>& u, const Array<double>& v) {
   return py::make_tuple(to_numpy(std::move(at_u)), to_numpy(std::move(at_v)));
 }
 
+// Charges on strips after a cloud of charge 1 for each view has crossed the induction gap, and the largest
+// ones.
 py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z, double sigma_x,
-               double sigma_z) {
+               double sigma_z, const Array<double>& way,
+               const std::pair<Array<double>, std::size_t>& induced) {
+  constexpr double duration = 40, whole = 1000;  // ns, fC
+  InducedCharge charges{.way = {},
+                        .phases = static_cast<std::size_t>(induced.first.shape(1)) - 1,
+                        .reach = induced.second,
+                        .charge = {induced.first.data(), static_cast<std::size_t>(induced.first.size())}};
+  std::ranges::copy(column(way, "way", InducedCharge::nodes), charges.way.begin());
+  StripSignals<Widest> signals(detector.cgem.at(layer), layer, detector.cgem.size(), charges, duration);
+  signals.begin(0, duration);
+  induce_on_layer(detector.cgem.at(layer), phi, z, {sigma_x, sigma_z}, {whole, whole}, signals.transit(7.3),
+                  signals);
+  signals.close(0);
   std::vector<std::int32_t> sheet, view, strip;
-  std::vector<double> part;
-  const auto give = [&](int s, int w, int i, Parts parts) {
-    for (const double p : parts) {
-      sheet.push_back(s);
-      view.push_back(w);
-      strip.push_back(i++);
-      part.push_back(p);
-    }
-  };
-  share_on_layer<Widest>(detector.cgem.at(layer), phi, z, sigma_x, sigma_z, give);
+  std::vector<double> part, largest;
+  signals.each([&](int s, int w, int i, const auto& source, CurrentSteps steps) {
+    sheet.push_back(s);
+    view.push_back(w);
+    strip.push_back(i);
+    double charge = 0;  // integral of the current
+    for (std::size_t t = 0; t < steps.size(); ++t) charge -= steps[t] * static_cast<double>(t) * time_step;
+    part.push_back(charge / whole);
+    largest.push_back(source.total / whole);
+  });
   py::dict out;
   out["sheet"] = to_numpy(std::move(sheet));
   out["view"] = to_numpy(std::move(view));
   out["strip"] = to_numpy(std::move(strip));
   out["part"] = to_numpy(std::move(part));
+  out["largest"] = to_numpy(std::move(largest));
   return out;
 }
 
@@ -498,8 +509,6 @@ void bind_testing(py::module_& core) {
       "follow_electrons", &follow_electrons, py::arg("detector"), py::arg("layer"), py::kw_only(),
       py::arg("w"), py::arg("energy"), py::arg("outward"), py::arg("n"), py::arg("seed"),
       "End points of n electrons that start at w (mm from the inner edge of the gap) with an energy (keV).");
-  module.def("induced_by", &induced_by, py::arg("charge"),
-             "Probability, share and mean delay (ns) of what a strip induces on a neighbour.");
   module.def("shaped", &amplitudes, py::arg("terms"), py::arg("dt"), py::arg("steps"),
              "Amplitude behind a shaper of terms (n, 3) for steps of the current at times dt apart.");
   module.def("polya_gains", &polya, py::arg("theta"), py::arg("seed"), py::arg("n"),
@@ -507,7 +516,8 @@ void bind_testing(py::module_& core) {
   module.def("nearest_holes", &holes, py::arg("pitch"), py::arg("u"), py::arg("v"),
              "Holes of a hexagonal lattice that are nearest to points (mm).");
   module.def("share_cloud", &cloud, py::arg("detector"), py::arg("layer"), py::arg("phi"), py::arg("z"),
-             py::arg("sigma_x"), py::arg("sigma_z"), "Parts of a cloud on the strips of both views.");
+             py::arg("sigma_x"), py::arg("sigma_z"), py::arg("way"), py::arg("induced"),
+             "Charges of a cloud on the strips of both views at the end, and the largest ones before.");
   module.def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"), py::arg("sigma"),
              "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),

@@ -162,8 +162,6 @@ ANALOG: dict[str, tuple[Any, tuple[str, ...]]] = {
     "lorentz": (False, BOTH),
     "holes": (False, BOTH),
     "share_spread": (0.3, BOTH),
-    "neighbour": (0.1, DIGIS),
-    "second_neighbour": (0.1, DIGIS),
     "threshold_x": (4.0, BOTH),
     "threshold_v": (4.0, BOTH),
     "noise": (1.0, BOTH),
@@ -188,7 +186,7 @@ READOUT_CASES: dict[str, dict[str, tuple[Any, tuple[str, ...]]]] = {
         "estimator": ("centroid", ()),
     },
     "tiger": ANALOG,
-    "apv25": ANALOG | {"random_neighbours": (True, DIGIS)},
+    "apv25": ANALOG,
 }
 #: Other settings that give one a meaning.
 GIVEN: dict[str, dict[str, Any]] = {"edge": {"estimator": "micro-tpc"}}

@@ -13,7 +13,7 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.core import strip_gains, strip_lists
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.readouts import AnalogReadout, ChargeReadout, Estimator, ProjectionReadout
-from cgemit.reconstruction.cluster_errors import COS_THETA, ErrorInputs, error_inputs, expected_errors
+from cgemit.reconstruction.cluster_errors import COS_THETA, ErrorInputs, chip_delays, error_inputs, expected_errors
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
 from cgemit.tables import Table
 
@@ -95,8 +95,9 @@ class ChargeClusterer(Clusterer):
         tracks = np.empty((0, 2)) if directions is None else directions
         found: dict[str, Any] = _core.find_charge_time_clusters(
             compiled(detector), dict(digis.columns), **self.strip_rules(detector), **inputs._asdict(),
-            estimator=self.readout.estimator, masked=strip_lists(detector).masked, bridge=bridge,
-            gain=strip_gains(detector), valley=self.readout.valley, slopes=tracks[:, 0], paths=tracks[:, 1],
+            delays=chip_delays(detector, self.readout), estimator=self.readout.estimator,
+            masked=strip_lists(detector).masked, bridge=bridge, gain=strip_gains(detector),
+            valley=self.readout.valley, slopes=tracks[:, 0], paths=tracks[:, 1],
         )  # fmt: skip
         return found
 

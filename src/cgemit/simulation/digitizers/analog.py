@@ -10,7 +10,8 @@ from cgemit import _core
 from cgemit.detector import Detector, compiled
 from cgemit.detector.core import gain_table
 from cgemit.detector.gas import drift_columns, w_values
-from cgemit.detector.readouts import AnalogReadout, Apv25Readout
+from cgemit.detector.induction import WAY, induced_charges
+from cgemit.detector.readouts import AnalogReadout, chip_arguments
 from cgemit.simulation.digitizers.digitizer import Digitizer
 from cgemit.tables import Table
 
@@ -45,7 +46,7 @@ class AnalogDigitizer(Digitizer):
         ValueError
             If a layer's gas or field has no table of electron transport.
         """
-        one, chip = self.readout, self.readout.chip
+        one = self.readout
         layers = {
             "hole_pitch": np.array([layer.hole_pitch if one.holes else 0.0 for layer in detector.cgem]),
             "w_value": w_values(detector),
@@ -60,30 +61,8 @@ class AnalogDigitizer(Digitizer):
                 "first_gain": one.first_gain,
                 "lorentz": one.lorentz,
             },
-            "chip": {
-                "kind": chip.kind,
-                "timing": (chip.timing.normalised, chip.timing.delay),
-                "charge": (chip.charge.normalised, chip.charge.delay),
-                "threshold_x": one.threshold_x,
-                "threshold_v": one.threshold_v,
-                "noise": one.noise,
-                "jitter": one.jitter,
-                "saturation": one.saturation,
-                "sample_delay": chip.sample_delay,
-                "clock": chip.clock,
-                "samples": chip.samples,
-            },
+            "chip": chip_arguments(one),
             "share_spread": one.share_spread,
-            "neighbour": one.neighbour,
-            "second_neighbour": one.second_neighbour,
+            "way": WAY,
+            "induced": induced_charges(detector, one.diffusion, one.lorentz),
         }
-
-
-class Apv25Digitizer(AnalogDigitizer):
-    """The same, where strips may also induce charge on their neighbours at random."""
-
-    readout: Apv25Readout
-
-    def core_arguments(self, detector: Detector) -> dict[str, Any]:
-        """Return the arguments of the compiled digitization, see `AnalogDigitizer.core_arguments`."""
-        return super().core_arguments(detector) | {"induced": self.readout.random_neighbours}

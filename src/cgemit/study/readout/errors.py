@@ -232,13 +232,13 @@ class Terms(NamedTuple):
     """Residuals and variances of clusters as sums of factors times these."""
 
     residual: Floats  # (n,) mm, with heights as the chip gives them
-    heights: Floats  # (n, 3) mm, what each of the factors of heights adds to the residual
+    heights: Floats  # (n,) mm, what the factor of heights adds to the residual
     fixed: Floats  # (n,) mm2, variance without factors
     variances: dict[str, Floats]  # (n,) mm2, by the factor
 
 
-_HEIGHTS = ("height", "height_per_span", "height_by_threshold")
-_FACTORS = tuple(one.name for one in fields(ChipErrors) if one.name not in _HEIGHTS)
+_HEIGHT = "height_by_threshold"
+_FACTORS = tuple(one.name for one in fields(ChipErrors) if one.name != _HEIGHT)
 
 
 def terms(
@@ -266,7 +266,7 @@ def terms(
     inputs = error_inputs(detector, readout)
     none = {one.name: 0.0 for one in fields(ChipErrors)}
     if heights is not None:
-        none |= {name: getattr(heights, name) for name in _HEIGHTS}
+        none[_HEIGHT] = heights.height_by_threshold
 
     def measured(changed: dict[str, float], directions: Floats | None) -> tuple[Table, Measurements]:
         chip = inputs.chip | none | changed
@@ -282,8 +282,9 @@ def terms(
         return Measurements._make(values[np.argsort(_keys(other))] for values in other)
 
     base = Measurements._make(values[order] for values in base)
-    moved = np.column_stack([of({name: 1e-3}).residual - base.residual for name in _HEIGHTS]) / 1e-3
-    variances = {name: of({name: 1.0}).error ** 2 - base.error**2 for name in _FACTORS}
+    moved = (of({_HEIGHT: 1e-3}).residual - base.residual) / 1e-3
+    # Negative where another part of a divided cluster has become that of the crossing.
+    variances = {name: np.maximum(of({name: 1.0}).error ** 2 - base.error**2, 0.0) for name in _FACTORS}
     return Terms(base.residual, moved, base.error**2, variances)
 
 
@@ -292,16 +293,16 @@ _ROUNDS = 20
 _TAIL, _WIDER = 0.05, 4.0  # share and width, over that of the core, of clusters with charge of something else
 
 
-def fitted_heights(sample: Terms) -> Floats:
-    """Return the factors of heights, (3,) float64, with which residuals are zero in the mean; tails count little."""
-    found: Floats = np.zeros(len(_HEIGHTS))
+def fitted_height(sample: Terms) -> float:
+    """Return the factor of heights with which residuals are zero in the mean; tails count little."""
+    found = 0.0
     for _ in range(_ROUNDS):
-        left = sample.residual + sample.heights @ found
+        left = sample.residual + sample.heights * found
         width = float(np.median(np.abs(left))) / 0.6745
         weight = 1 / (1 + (left / (_FARTHEST * width)) ** 2)
-        weighted = sample.heights * weight[:, None]
-        found = np.asarray(np.linalg.lstsq(weighted.T @ sample.heights, -weighted.T @ sample.residual, rcond=1e-9)[0])
-    return np.asarray(found)
+        weighted = sample.heights * weight
+        found = -float(weighted @ sample.residual / (weighted @ sample.heights))
+    return found
 
 
 def fitted_factors(sample: Terms, names: tuple[str, ...], given: dict[str, float]) -> dict[str, float]:
@@ -379,7 +380,7 @@ def fit_errors(
 
     found = dict.fromkeys((one.name for one in fields(ChipErrors)), 0.0)
     if timed:
-        found |= dict(zip(_HEIGHTS, fitted_heights(sample("merged", True, None)).tolist(), strict=True))
+        found[_HEIGHT] = fitted_height(sample("merged", True, None))
     heights = ChipErrors(**found)
     centroid = sample("centroid", False, heights)
     if not timed:

@@ -12,6 +12,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <type_traits>
 #include <utility>
 
@@ -271,6 +272,18 @@ T gathered(F&& f) {
     return [&]<int... lane>(std::integer_sequence<int, lane...>) {
       return T(typename T::Vector{f(lane)...});
     }(std::make_integer_sequence<int, lanes_of<T>>());
+}
+
+// Consecutive numbers in memory.
+template <class T>
+T loaded(const double* from) {
+  T found;
+  std::memcpy(&found, from, sizeof(T));
+  return found;
+}
+template <class T>
+void store(const T& x, double* to) {
+  std::memcpy(to, &x, sizeof(T));
 }
 
 template <class T>

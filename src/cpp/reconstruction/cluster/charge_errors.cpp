@@ -56,12 +56,20 @@ double ChargeErrors::electrons(const ChargeMoments& charge) const {
   return std::max(charge.charge * chip.electrons_per_fC, 2.0);
 }
 
-double ChargeErrors::height_variance(const PlaneErrors& plane, const ChargeMoments& charge,
-                                     double span) const {
-  const double fluctuation = square(span) * (1 + chip.gain_variance) / electrons(charge);
-  const double time =
-      square(chip.jitter) * charge.squares + charge.strips * square(chip.rise * chip.noise / charge.charge);
-  return chip.span * fluctuation + chip.time * square(plane.velocity) * time;
+// A leading edge that rises as Q (t/rise)^2 passes the level A with the slope 2 sqrt(A Q)/rise.
+double ChargeErrors::edge_variance(const PlaneErrors& plane, const ChargeMoments& charge) const {
+  const double of_strip = charge.charge / charge.strips;
+  const double level = chip.level > 0 ? chip.level * of_strip : plane.threshold;
+  return square(chip.rise * chip.noise) / (4 * level * of_strip);
+}
+
+double ChargeErrors::height_variance(int view, std::size_t layer, const ChargeMoments& charge,
+                                     Direction direction) const {
+  const PlaneErrors& at = plane(view, layer);
+  const double fluctuation =
+      square(span(at, direction.slope)) * shares.at(layer, direction.path, electrons(charge));
+  const double time = square(chip.jitter) * charge.squares + edge_variance(at, charge) / charge.strips;
+  return chip.span * fluctuation + chip.time * square(at.velocity) * time;
 }
 
 // What all positions have: diffusion, the strips' width, charge that is wider than usual, delta electrons.
@@ -78,11 +86,14 @@ double ChargeErrors::common(const PlaneErrors& plane, std::size_t layer, const C
     const double width = std::sqrt(plane.cloud + plane.diffusion);
     alone = std::max(0.0, plane.pitch + 2 * width * normal_quantile(least));
   }
-  // The share of the largest ionization cluster, and how far its electrons reach.
+  // The share of the largest ionization cluster, and how far its electrons reach. A share f beside the rest
+  // by d moves the mean by f d and adds f (1 - f) d^2 to the width.
   const double single = (1 + chip.gain_variance) / number;
   const double largest = std::max(shares.at(layer, path, number) - single, 0.0);
+  const double part = std::min(std::sqrt(largest), 0.75);
   return chip.diffusion * plane.diffusion * single + plane.wave + noise + square(alone) / 24 +
-         chip.wide * std::max(excess, 0.0) + largest * square(delta_range(std::sqrt(largest) * number));
+         chip.wide * std::max(excess, 0.0) * part / (1 - part) +
+         largest * square(delta_range(std::sqrt(largest) * number));
 }
 
 double ChargeErrors::of_centroid(int view, std::size_t layer, const ChargeMoments& charge,
@@ -104,7 +115,7 @@ double ChargeErrors::of_charge_line(int view, std::size_t layer, const ChargeMom
   const double slope = direction.slope, usual = at.cloud + at.diffusion;
   const double across = charge.xx - 2 * slope * charge.xh + square(slope) * charge.hh;
   const double lost = square(at.threshold / charge.charge * at.pitch) / 12;
-  return square(slope) * height_variance(at, charge, span(at, slope)) +
+  return square(slope) * height_variance(view, layer, charge, direction) +
          square(charge.height) * slope_variance + chip.cut * lost +
          common(at, layer, charge, direction.path, across - usual - square(at.pitch) / 12);
 }
@@ -120,7 +131,7 @@ double ChargeErrors::of_free_line(int view, std::size_t layer, const ChargeMomen
 OwnSlope ChargeErrors::own_slope(const PlaneErrors& plane, const ChargeMoments& charge, double span) const {
   // Strips have the mean heights of their charge, which spread less than the charge itself, and noise adds to
   // them.
-  const double time = square(chip.jitter) + square(charge.strips * chip.rise * chip.noise / charge.charge);
+  const double time = square(chip.jitter) + edge_variance(plane, charge);
   const double spread =
       std::max(charge.hh - chip.time * square(plane.velocity) * time * (1 - charge.squares), 0.0);
   const double width = square(plane.pitch) / 12 + plane.cloud + plane.diffusion;

@@ -20,9 +20,10 @@ struct ChipErrors {
   double line;        // on the variance of a line with a free slope
   // What to add to heights: mm; by the part of the gap that a strip sees; by this and the threshold of all
   // strips over the charge of the cluster.
-  double height, height_per_span, height_by_threshold;
+  double height_by_threshold;
   double noise, jitter;     // fC, ns
-  double rise;              // ns, of the pulse: noise over charge moves the time by this
+  double rise;              // ns, of the pulse
+  double level;             // of the leading edge where the time is taken, over the charge; 0: the threshold
   double gain_variance;     // relative, of the charge of an electron of ionization
   double electrons_per_fC;  // of ionization, in one view
   double slope;             // spread of tracks' slopes about the direction from the beam line
@@ -84,8 +85,10 @@ struct ChargeErrors {
   }
   // The part of the gap, mm, that a strip sees: sqrt(12) times the spread of the heights of its charge.
   double span(const PlaneErrors& plane, double slope) const;
+  // Variance, ns^2, of the time of a strip by noise.
+  double edge_variance(const PlaneErrors& plane, const ChargeMoments& charge) const;
   // Variance, mm^2, of the mean height of a cluster.
-  double height_variance(const PlaneErrors& plane, const ChargeMoments& charge, double span) const;
+  double height_variance(int view, std::size_t layer, const ChargeMoments& charge, Direction direction) const;
   // Variances, mm^2, of the positions at mid-gap. `slope_variance`: of the slope that the position uses.
   double of_centroid(int view, std::size_t layer, const ChargeMoments& charge, Direction direction) const;
   double of_charge_line(int view, std::size_t layer, const ChargeMoments& charge, Direction direction,

@@ -204,11 +204,13 @@ class ChargeTimeClusters {
     const double along = slope_at(layer, cluster.view, z), slope = plane.slope_at_anode(along);
     const ChargeMoments charge = along == 0 ? fired.charge : charge_at(plane, fired.strips, slope);
     const ChargeErrors& errors = model_.errors;
-    const PlaneErrors& at =
-        errors.plane(static_cast<int>(cluster.view), static_cast<std::size_t>(cluster.layer));
+    const int view = static_cast<int>(cluster.view);
+    const auto number = static_cast<std::size_t>(cluster.layer);
+    const PlaneErrors& at = errors.plane(view, number);
     const double lost = at.threshold / charge.charge, noise = errors.chip.noise / charge.charge;
     return {charge.charge, charge.strips * noise * noise + lost * lost / 6, plane.time(fired.strips, charge),
-            errors.height_variance(at, charge, errors.span(at, slope)) / (at.velocity * at.velocity)};
+            errors.height_variance(view, number, charge, {slope, std::hypot(1.0, z / layer.r_mid())}) /
+                (at.velocity * at.velocity)};
   }
 
   // Sets position, error and time.

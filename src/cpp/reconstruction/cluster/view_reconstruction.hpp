@@ -83,15 +83,13 @@ class ViewReconstruction {
   void points(std::span<const FiredStrip> strips, double slope, std::vector<StripPoint>& found) const {
     const PlaneErrors& plane = model_.errors.plane(view_, number_);
     const double seen = model_.timed ? model_.errors.span(plane, slope) : 0;
-    const ChipErrors& chip = model_.errors.chip;
     double charge = 0;
     for (const FiredStrip& strip : strips) charge += strip.charge;
     const double lost = plane.threshold * static_cast<double>(strips.size()) / charge;
-    const double start =
-        half_gap() + chip.height + seen * (chip.height_per_span + chip.height_by_threshold * lost);
+    const double start = half_gap() + seen * model_.errors.chip.height_by_threshold * lost;
     found.clear();
     for (const FiredStrip& strip : strips) {
-      const double delay = model_.delays.at(2 * number_ + static_cast<std::size_t>(view_),
+      const double delay = model_.delays.at(static_cast<std::size_t>(view_) * model_.layers.size() + number_,
                                             seen / timing_.velocity, strip.measured);
       const double height = model_.timed ? start - (strip.drift - delay) * timing_.velocity : 0;
       found.push_back({strip.position, strip.charge, height});

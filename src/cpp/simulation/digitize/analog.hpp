@@ -10,6 +10,7 @@
 #include "simulation/digitize/avalanche.hpp"
 #include "simulation/digitize/chips.hpp"
 #include "simulation/digitize/digis.hpp"
+#include "simulation/digitize/strip_signals.hpp"
 #include "simulation/digitize/truths.hpp"
 
 namespace cgemit {
@@ -18,8 +19,8 @@ struct AnalogModel {
   std::span<const LayerDrift> drift;  // of each CGEM layer
   ElectronPhysics physics;
   Chip chip;
-  double share_spread;       // standard deviation of ln(charge on X / charge on V) from crossing to crossing
-  double neighbour, second;  // share of a strip's current on its neighbours, and on those beyond
+  double share_spread;  // standard deviation of ln(charge on X / charge on V) from crossing to crossing
+  InducedCharge induced;
   std::uint64_t seed;
 };
 

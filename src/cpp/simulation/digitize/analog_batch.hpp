@@ -44,6 +44,36 @@ inline std::uint32_t earlier(const TruthColumns& truths, std::size_t event_begin
   return n;
 }
 
+struct CloudWidth {
+  double x, z;  // mm
+};
+
+// Adds the currents of a cloud at (phi, z) with a charge (fC) for each view. Outside of the active area it is
+// lost.
+template <class T>
+void induce_on_layer(const CgemLayer& layer, double phi, double z, CloudWidth width,
+                     const std::array<double, 2>& charge, const typename StripSignals<T>::Transit& at,
+                     StripSignals<T>& signals) {
+  constexpr double reach = 6, least = 1e-6;  // widths; mm, of a cloud without diffusion
+  const double sigma_x = std::max(width.x, least), sigma_z = std::max(width.z, least);
+  const double in_z = part_within(z, sigma_z, -layer.half_length, layer.half_length);
+  if (in_z <= 0) return;
+  for (int sheet = 0; sheet < layer.sheets; ++sheet) {
+    double x = local_x(layer, sheet, phi);
+    if (x > layer.sheet_width() + reach * sigma_x) x -= 2 * pi * layer.r_readout;
+    if (x < -reach * sigma_x) continue;
+    signals.add(sheet, 0, strips_of_x(layer, x), in_z * charge[0], at);
+    const double v = strips_of_v(layer, local_v(layer, x, z));
+    if (in_z < 1 || part_within(x, sigma_x, 0, layer.sheet_width()) < 1) {
+      std::vector<double> parts(signals.strips());
+      parts_on_sheet(layer, x, z, sigma_x, sigma_z, signals.first_strip(v), parts);
+      signals.add(sheet, 1, v, charge[1], at, parts);
+    } else {
+      signals.add(sheet, 1, v, charge[1], at);
+    }
+  }
+}
+
 // Reads out events one after the other, with electrons of one truth side by side in the lanes of T.
 template <class T>
 class EventReadout {
@@ -57,7 +87,10 @@ class EventReadout {
         readout_(readout),
         gains_(gains),
         response_(readout.chip.charge, time_step) {
-    for (const CgemLayer& layer : detector.cgem) signals_.emplace_back(layer);
+    for (std::size_t layer = 0; layer < detector.cgem.size(); ++layer) {
+      signals_.emplace_back(detector.cgem[layer], layer, detector.cgem.size(), readout.induced,
+                            readout.drift[layer].induction);
+    }
   }
 
   // Truths [begin, end) are those of one event.
@@ -65,10 +98,10 @@ class EventReadout {
     for (std::size_t layer = 0; layer < detector_.cgem.size(); ++layer) {
       if (!open(layer, begin, end)) continue;
       for (std::size_t row = begin; row < end; ++row) {
-        if (truths_.layer[row] == static_cast<std::int32_t>(layer)) collect(row, begin);
+        if (truths_.layer[row] != static_cast<std::int32_t>(layer)) continue;
+        collect(row, begin);
+        signals_[layer].close(static_cast<std::int64_t>(row));
       }
-      signals_[layer].close();
-      signals_[layer].couple(readout_.neighbour, readout_.second);
       write(layer, truths_.event[begin]);
     }
   }
@@ -95,8 +128,7 @@ class EventReadout {
     const LayerDrift& drift = readout_.drift[layer];
     const double gap = detector_.cgem[layer].r_gap_out - detector_.cgem[layer].r_gap_in;
     const double spread = late * readout_.physics.diffusion * drift.sigma_l * std::sqrt(gap) / drift.velocity;
-    signals_[layer].begin(first + drift.delay - spread, last + drift.delay + gap / drift.velocity + spread,
-                          drift.induction);
+    signals_[layer].begin(first + drift.delay - spread, last + drift.delay + gap / drift.velocity + spread);
     return true;
   }
 
@@ -142,37 +174,32 @@ class EventReadout {
     const Arrival<T> clouds = drift(detector_.cgem[number], readout_.drift[number], readout_.physics,
                                     coordinate(0), coordinate(1), coordinate(2), draws, arrives);
     each_lane(arrives, [&](int i) {
-      spread(number, row, share,
+      induce(number, row, share,
              {lane(clouds.phi, i), lane(clouds.z, i), lane(clouds.time, i), lane(clouds.charge, i)});
     });
   }
 
   // One avalanche on the strips of both views.
-  void spread(std::size_t number, std::size_t row, const std::array<double, 2>& share,
+  void induce(std::size_t number, std::size_t row, const std::array<double, 2>& share,
               const Arrival<double>& cloud) {
     const CgemLayer& layer = detector_.cgem[number];
     const LayerDrift& gas = readout_.drift[number];
     const double factor = readout_.physics.diffusion;
-    const double sigma_x = layer.r_readout * std::max(factor * gas.cloud_phi, least_phi),
-                 sigma_z = std::max(factor * gas.cloud_z, least_z);
+    const CloudWidth cloud_width{layer.r_readout * factor * gas.cloud_phi, factor * gas.cloud_z};
     const double charge =
         cloud.charge * elementary_charge_fC * gains_.at(detector_, number, cloud.phi, cloud.z);
-    StripSignals& signals = signals_[number];
-    const StripSignals::Transit transit = signals.transit(truths_.time[row] + cloud.time);
-    share_on_layer<T>(
-        layer, cloud.phi, cloud.z, sigma_x, sigma_z, [&](int sheet, int view, int strip, Parts parts) {
-          signals.add(sheet, view, strip, parts, transit, share[static_cast<std::size_t>(view)] * charge,
-                      static_cast<std::int64_t>(row));
-        });
+    StripSignals<T>& signals = signals_[number];
+    induce_on_layer(layer, cloud.phi, cloud.z, cloud_width, {share[0] * charge, share[1] * charge},
+                    signals.transit(truths_.time[row] + cloud.time), signals);
   }
 
   void write(std::size_t number, std::int64_t event) {
     const CgemLayer& layer = detector_.cgem[number];
     const Stream stream(readout_.seed, static_cast<std::uint64_t>(event), 0);
-    signals_[number].each([&](int sheet, int view, int strip, const StripSignals::Source& source,
-                              std::span<const double> steps) {
+    signals_[number].each([&](int sheet, int view, int strip, const auto& source, CurrentSteps steps) {
       DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};
       digi.gid = gid_of(layer, sheet, view, strip);
+      if (source.total <= readout_.chip.noise) return;
       const auto measured = measure(readout_.chip, response_, view, signals_[number].start(),
                                     {steps, source.total}, stream, static_cast<std::uint32_t>(digi.gid));
       if (!measured) return;
@@ -184,7 +211,6 @@ class EventReadout {
     });
   }
 
-  static constexpr double least_phi = 1e-9, least_z = 1e-6;  // rad, mm: a cloud without diffusion
   const Detector& detector_;
   const TruthColumns& truths_;
   const StepColumns& steps_;
@@ -192,7 +218,7 @@ class EventReadout {
   const AnalogModel& readout_;
   const GainMaps& gains_;
   StepResponse response_;
-  std::vector<StripSignals> signals_;
+  std::vector<StripSignals<T>> signals_;
 };
 
 template <class T>

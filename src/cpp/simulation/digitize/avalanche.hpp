@@ -160,8 +160,7 @@ Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPh
 // Part of a Gaussian below `x`, in units of its width.
 inline double below(double x) { return 0.5 * std::erfc(-x * 0.70710678118654752440); }
 
-// The same from a table, within 1e-9, for one number or several side by side: the function and three
-// derivatives at the nearest of its points.
+// The same from a table, within 1e-9: the function and three derivatives at the nearest of its points.
 class NormalTable {
  public:
   NormalTable() {
@@ -171,17 +170,11 @@ class NormalTable {
     }
     points_.back() = {1, 0};
   }
-  template <class T>
-  T below_at(T x) const {
-    const T inside = smaller(larger(x, -reach), reach), nth = nearest((inside + reach) * (1 / step));
-    const auto number = whole(nth);
-    const auto entry = [&](int i) -> const Tabulated& {
-      return points_[static_cast<std::size_t>(whole_lane(number, i))];
-    };
-    const T integral = gathered<T>([&](int i) { return entry(i).integral; });
-    const T density = gathered<T>([&](int i) { return entry(i).density; });
-    const T at = nth * step - reach, d = inside - at;
-    return integral + density * d * (1.0 - d * (0.5 * at - d * (at * at - 1.0) * (1.0 / 6)));
+  double below_at(double x) const {
+    const double inside = std::clamp(x, -reach, reach), nth = std::round((inside + reach) * (1 / step));
+    const Tabulated& found = points_[static_cast<std::size_t>(nth)];
+    const double at = nth * step - reach, d = inside - at;
+    return found.integral + found.density * d * (1.0 - d * (0.5 * at - d * (at * at - 1.0) * (1.0 / 6)));
   }
 
  private:
@@ -204,56 +197,21 @@ inline double part_within(double mean, double sigma, double low, double high) {
   return below((high - mean) / sigma) - below((low - mean) / sigma);
 }
 
-// The strip of a position in strips, or the nearest of [low, high].
-inline int strip_of(double position, int low, int high) {
-  return static_cast<int>(
-      std::clamp(std::floor(position), static_cast<double>(low), static_cast<double>(high)));
-}
-
-// Parts of a cloud on consecutive strips.
-using Parts = std::span<const double>;
-
-// Calls give(strip, parts) with the parts of a Gaussian cloud of width `sigma` strips on consecutive strips
-// from `strip` on, of `strips` strips, counted from `position` in strips. The edges of strips are side by
-// side in the lanes of T.
-template <class T, class Give>
-void share_cloud(double position, double sigma, int strips, double inside, Give&& give) {
-  constexpr double reach = 4;
-  constexpr int edges = 8, width = lanes_of<T>;
-  const int first = strip_of(position - reach * sigma, 0, strips);
-  const int last = strip_of(position + reach * sigma, -1, strips - 1);
-  const NormalTable& table = normal_table();
-  const T per_sigma(1 / sigma), ramp = gathered<T>([](int i) { return static_cast<double>(i); });
-  std::array<double, edges> below_edge;
-  for (int strip = first; strip <= last; strip += edges - 1) {
-    const int n = std::min(last - strip + 1, edges - 1);
-    for (int edge = 0; edge <= n; edge += width) {
-      const T part = inside * table.below_at<T>((ramp + (strip + edge - position)) * per_sigma);
-      for (int i = 0; i < width; ++i) below_edge[static_cast<std::size_t>(edge + i)] = lane(part, i);
-    }
-    for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
-      below_edge[i] = below_edge[i + 1] - below_edge[i];
-    }
-    give(strip, Parts(below_edge.data(), static_cast<std::size_t>(n)));
-  }
-}
-
-// The same for V strips of a cloud that reaches beyond the sheet: at each V only a part of it lies on the
-// sheet, since X and z are correlated with V. Midpoint sums within the strips; exact at an edge, and an
-// approximation at a corner, where both edges count as independent.
-template <class Give>
-void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, double sigma_z, double sigma_v,
-                   Give&& give) {
-  constexpr double reach = 4;
+// Part of the charge of V strips, from `first` on, that is on the sheet, for a cloud at (x, z) that reaches
+// beyond it: at each V only a part of the cloud lies on the sheet, since X and z are correlated with V.
+// Midpoint sums within the strips; exact at an edge, and an approximation at a corner, where both edges count
+// as independent.
+inline void parts_on_sheet(const CgemLayer& layer, double x, double z, double sigma_x, double sigma_z,
+                           int first, std::span<double> found) {
   constexpr int parts = 16;
+  constexpr double least = 1e-4;  // of the cloud, on strips with a part of their own
   const NormalTable& table = normal_table();
   const double v = local_v(layer, x, z), cos = layer.cos_stereo, sin = layer.sin_stereo;
+  const double sigma_v = std::hypot(cos * sigma_x, sin * sigma_z);
   const double x_per_v = cos * sigma_x * sigma_x / (sigma_v * sigma_v);
   const double z_per_v = -sin * sigma_z * sigma_z / (sigma_v * sigma_v);
   const double rest_x = std::abs(sin) * sigma_x * sigma_z / sigma_v;
-  const int first = strip_of(strips_of_v(layer, v - reach * sigma_v), 0, layer.strips_v);
-  const int last = strip_of(strips_of_v(layer, v + reach * sigma_v), -1, layer.strips_v - 1);
-  for (int strip = first; strip <= last; ++strip) {
+  const auto of_strip = [&](int strip, double whole) {
     double part = 0, before = table.below_at((v_of_strips(layer, strip) - v) / sigma_v);
     for (int i = 0; i < parts; ++i) {
       const double low = v_of_strips(layer, strip + static_cast<double>(i) / parts) - v;
@@ -266,35 +224,20 @@ void share_at_edge(const CgemLayer& layer, double x, double z, double sigma_x, d
       if (from < to) part += (up_to - before) * (table.below_at(to / rest_x) - table.below_at(from / rest_x));
       before = up_to;
     }
-    give(strip, Parts(&part, 1));
+    return part / whole;
+  };
+  std::size_t begin = found.size(), end = 0;
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    const int strip = first + static_cast<int>(i);
+    const double whole = table.below_at((v_of_strips(layer, strip + 1) - v) / sigma_v) -
+                         table.below_at((v_of_strips(layer, strip) - v) / sigma_v);
+    if (whole < least) continue;
+    found[i] = of_strip(strip, whole);
+    begin = std::min(begin, i);
+    end = i + 1;
   }
-}
-
-// Calls give(sheet, view, strip, parts) for the parts of a cloud at (phi, z) on consecutive strips, of both
-// views; the parts of a view add up to what of the cloud is on the active area.
-template <class T, class Give>
-void share_on_layer(const CgemLayer& layer, double phi, double z, double sigma_x, double sigma_z,
-                    Give&& give) {
-  constexpr double reach = 6;
-  const double turn = 2 * pi * layer.r_readout, width = layer.sheet_width();
-  const double in_z = part_within(z, sigma_z, -layer.half_length, layer.half_length);
-  if (in_z <= 0) return;
-  const double across_x = layer.cos_stereo * sigma_x, across_z = layer.sin_stereo * sigma_z;
-  const double sigma_v = std::sqrt(across_x * across_x + across_z * across_z);
-  for (int sheet = 0; sheet < layer.sheets; ++sheet) {
-    double x = local_x(layer, sheet, phi);
-    if (x > width + reach * sigma_x) x -= turn;
-    if (x < -reach * sigma_x) continue;
-    const auto on_x = [&](int strip, Parts parts) { give(sheet, 0, strip, parts); };
-    const auto on_v = [&](int strip, Parts parts) { give(sheet, 1, strip, parts); };
-    share_cloud<T>(strips_of_x(layer, x), sigma_x / layer.pitch_x, layer.strips_x, in_z, on_x);
-    if (in_z < 1 || part_within(x, sigma_x, 0, width) < 1) {
-      share_at_edge(layer, x, z, sigma_x, sigma_z, sigma_v, on_v);
-    } else {
-      share_cloud<T>(strips_of_v(layer, local_v(layer, x, z)), sigma_v / layer.pitch_v, layer.strips_v, 1.0,
-                     on_v);
-    }
-  }
+  for (std::size_t i = 0; i < begin; ++i) found[i] = begin < found.size() ? found[begin] : 0;
+  for (std::size_t i = std::max(begin, end); i < found.size(); ++i) found[i] = found[end - 1];
 }
 
 }  // namespace cgemit

@@ -4,8 +4,6 @@
 #include <array>
 #include <vector>
 
-#include "simulation/digitize/strip_signals.hpp"
-
 namespace cgemit {
 namespace {
 
@@ -30,22 +28,23 @@ class NormalNoise {
   Block words_{};
 };
 
-double step_at(std::span<const double> steps, std::size_t i) { return i < steps.size() ? steps[i] : 0.0; }
+double step_at(CurrentSteps steps, std::size_t i) { return i < steps.size() ? steps[i] : 0.0; }
 
 // The first time of the grid with a current; the amplitude is 0 up to it.
-std::size_t first_step(std::span<const double> steps) {
+std::size_t first_step(CurrentSteps steps) {
   std::size_t i = 0;
   while (i < steps.size() && steps[i] == 0) ++i;
   return i;
 }
 
-// Whether an amplitude may exceed a level: responses to 1 fC are at most 1, up to the rounding of their peak.
+// Whether an amplitude may exceed a level, with `charge` the largest one on the strip at any time: responses
+// to 1 fC are at most 1, up to the rounding of their peak.
 bool may_exceed(double charge, double level) { return charge * (1 + 1e-6) > level; }
 
 // Time from the start, in steps of the grid, at which the amplitude first exceeds a threshold; negative if
 // never.
 template <class Filter>
-double crossing(Filter filter, std::span<const double> steps, double threshold) {
+double crossing(Filter filter, CurrentSteps steps, double threshold) {
   const std::size_t end = steps.size() + static_cast<std::size_t>(after / time_step);
   double before = 0;
   for (std::size_t i = first_step(steps); i < end; ++i) {
@@ -59,7 +58,7 @@ double crossing(Filter filter, std::span<const double> steps, double threshold) 
 }
 
 // Amplitude at a time in steps of the grid, linear between them. `response`: to a step of the current.
-double amplitude_at(StepResponse& response, std::span<const double> steps, double time) {
+double amplitude_at(StepResponse& response, CurrentSteps steps, double time) {
   const double place = std::max(time, 0.0);
   const auto whole = static_cast<std::size_t>(place);
   const double* unit = response.up_to(whole + 1);
@@ -82,7 +81,8 @@ double amplitude_at(StepResponse& response, std::span<const double> steps, doubl
 }
 
 // Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.
-// Noise moves the threshold, and with it the time as far as the slope makes it.
+// Both must exceed the threshold: the charge that is induced on a strip beside the avalanche, and goes again,
+// hardly moves E. Noise moves the threshold, and with it the time as far as the slope makes it.
 std::optional<StripReading> tiger(const Chip& chip, StepResponse& response, int view, double start,
                                   const Current& current, NormalNoise noise) {
   const double threshold =
@@ -94,12 +94,13 @@ std::optional<StripReading> tiger(const Chip& chip, StepResponse& response, int 
   const double fired = crossed * time_step + chip.timing.delay;  // ns after the start
   const double sampled = (fired + chip.sample_delay - chip.charge.delay) / time_step;
   const double charge = amplitude_at(response, current.steps, sampled) + chip.noise * noise.next();
-  return StripReading{std::clamp(charge, 0.0, chip.saturation), start + fired + chip.jitter * noise.next()};
+  if (charge <= chip.threshold[static_cast<std::size_t>(view)]) return std::nullopt;
+  return StripReading{std::min(charge, chip.saturation), start + fired + chip.jitter * noise.next()};
 }
 
 // Adds the amplitudes at the times of the samples.
 template <class Filter>
-void add_amplitudes(Filter filter, const Chip& chip, double start, std::span<const double> steps,
+void add_amplitudes(Filter filter, const Chip& chip, double start, CurrentSteps steps,
                     std::span<double> samples) {
   double low = 0, high = filter.next(step_at(steps, 0));
   std::size_t i = 0;  // `high` is the amplitude at this time of the grid

@@ -7,6 +7,7 @@
 
 #include "common/rng.hpp"
 #include "simulation/digitize/shaper.hpp"
+#include "simulation/digitize/strip_signals.hpp"
 
 namespace cgemit {
 
@@ -31,8 +32,8 @@ struct StripReading {
 
 // Current of one strip.
 struct Current {
-  std::span<const double> steps;  // fC/ns, on the grid of `strip_signals.hpp`
-  double charge;                  // fC, its integral
+  CurrentSteps steps;
+  double charge;  // fC; the integral up to any time is at most this
 };
 
 // What the chip makes of a current that begins at `start` (ns); nothing below the threshold. `response`: of

@@ -20,7 +20,7 @@ from cgemit.study.readout.errors import (
     design,
     fit_errors,
     fitted_factors,
-    fitted_heights,
+    fitted_height,
     measurements,
     muons,
     pulls,
@@ -31,7 +31,6 @@ from cgemit.study.readout.errors import (
 
 TIGER, APV25 = cg.TigerReadout(), cg.Apv25Readout()
 DESIGN = cg.load("besiii-cgem-design")
-HEIGHTS = ("height", "height_per_span", "height_by_threshold")
 FACTORS = ("ionization", "cut", "diffusion", "span", "time", "wide", "line")
 
 
@@ -68,31 +67,31 @@ def test_muons_are_displaced_on_demand() -> None:
         assert set(particles["pdg"]) == {-13, 13}
 
 
-def drawn(heights: np.ndarray, factors: dict[str, float], n: int = 40_000) -> Terms:
+def drawn(height: float, factors: dict[str, float], n: int = 40_000) -> Terms:
     """Return clusters whose residuals have a mean and a variance of these factors, and a tail."""
     random = np.random.default_rng(6)
     slope = random.uniform(-1.5, 1.5, n)
     span = 5 / np.sqrt(1 + 4 * slope**2)
-    moved = slope[:, None] * np.column_stack([np.ones(n), span, span * random.uniform(0.1, 1.5, n)])
+    moved = slope * span * random.uniform(0.1, 1.5, n)
     variances = {name: random.gamma(0.5, 0.02, n) for name in factors}
     fixed = random.uniform(0.001, 0.003, n)
     sigma = np.sqrt(fixed + sum(factor * variances[name] for name, factor in factors.items()))
     tail = np.where(random.random(n) < 0.05, 4.0, 1.0)
-    return Terms(sigma * tail * random.standard_normal(n) - moved @ heights, moved, fixed, variances)
+    return Terms(sigma * tail * random.standard_normal(n) - moved * height, moved, fixed, variances)
 
 
 def test_heights_are_found() -> None:
     """In spite of tails, some of which lie to the side of the slope, and of residuals with unequal errors."""
-    for true in (np.array([-0.05, 0.08, -0.14]), np.zeros(3)):
+    for true in (-0.14, 0.0):
         sample = drawn(true, {"wide": 0.4})
-        far = np.where(np.arange(len(sample.residual)) % 30 == 0, np.sign(sample.heights[:, 0]), 0.0)  # mm
-        assert fitted_heights(sample._replace(residual=sample.residual + far)) == pytest.approx(true, abs=0.012)
+        far = np.where(np.arange(len(sample.residual)) % 30 == 0, np.sign(sample.heights), 0.0)  # mm
+        assert fitted_height(sample._replace(residual=sample.residual + far)) == pytest.approx(true, abs=0.012)
 
 
 def test_factors_are_found() -> None:
     """Of a sample of the model, whether or not some are given; with a wrong one given, others differ."""
     true = {"diffusion": 1.2, "span": 0.3, "wide": 0.6}
-    sample = drawn(np.zeros(3), true)
+    sample = drawn(0.0, true)
     assert fitted_factors(sample, tuple(true), {}) == pytest.approx(true, rel=0.08)
     free = fitted_factors(sample, ("diffusion", "wide"), {"span": 0.3})
     assert free == pytest.approx({"diffusion": 1.2, "wide": 0.6}, rel=0.08)
@@ -121,23 +120,24 @@ def test_terms_add_up(estimator: str, of_track: bool, of: tuple[str, ...]) -> No
     own = measurements(at.detector, clusters, result.truths)
     order = np.argsort(errors._keys(own))
     variance = sample.fixed + sum(getattr(factors, name) * sample.variances[name] for name in FACTORS)
-    # Without a track, the factors decide at times which pair gives the direction.
-    least = 1.0 if of_track else 0.98
+    # The factors decide at times which part of a divided cluster is that of the crossing, and without a track which
+    # pair gives the direction.
+    least = 0.998 if of_track else 0.98
     assert np.mean(np.isclose(variance, own.error[order] ** 2, rtol=1e-9)) >= least
     assert np.mean(np.isclose(sample.residual, own.residual[order], rtol=0, atol=1e-9)) >= least
     assert {name for name in FACTORS if np.mean(sample.variances[name] > 1e-9) > 0.02} == set(of)
     plain = terms(at.detector, readout, result.digis, result.truths, of_track=of_track, heights=None)
-    moved = plain.residual + plain.heights @ [getattr(factors, name) for name in HEIGHTS]
+    moved = plain.residual + plain.heights * factors.height_by_threshold
     # Beyond the gap the Lorentz shift stays that of its border.
     assert np.quantile(np.abs(moved - sample.residual), 0.95) < 5e-3
     if of_track:
-        assert np.quantile(np.abs(plain.residual - sample.residual), 0.5) > 0.01
+        assert np.quantile(np.abs(plain.residual - sample.residual), 0.5) > 0.002
 
 
 @pytest.mark.parametrize("readout", [TIGER, APV25], ids=["tiger", "apv25"])
 def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypatch: pytest.MonkeyPatch) -> None:
     """Core of all within 8 % and no bias; errors that are a quarter larger would not pass."""
-    found = pulls(readout, estimator="merged", of_track=True, designs=8, n=400)
+    found = pulls(readout, estimator="merged", of_track=True, designs=16, n=200)
     assert found[0].quantity == "all"
     assert found[0].clusters > 10_000
     assert found[0].core == pytest.approx(1, abs=0.08)
@@ -152,7 +152,7 @@ def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypat
         return sample._replace(error=1.25 * sample.error)
 
     monkeypatch.setattr(errors, "measurements", too_large)
-    wrong = pulls(readout, estimator="merged", of_track=True, designs=2, n=500)
+    wrong = pulls(readout, estimator="merged", of_track=True, designs=16, n=50)
     assert wrong[0].core < 0.92
 
 
@@ -173,7 +173,7 @@ def test_a_fit_finds_the_factors_of_the_package() -> None:
     own = chip_errors("tiger")
     for name in ("ionization", "cut", "diffusion", "time", "wide"):
         assert getattr(found, name) == pytest.approx(getattr(own, name), rel=0.5), name
-    assert found.height_per_span == pytest.approx(own.height_per_span, abs=0.05)
+    assert found.height_by_threshold == pytest.approx(own.height_by_threshold, abs=0.05)
     assert progress[-1] == 1.0
     assert progress == sorted(progress)
     assert pulls(TIGER, errors=found, designs=8, n=1000)[0].core == pytest.approx(1, abs=0.1)
