@@ -14,19 +14,18 @@ namespace cgemit {
 
 namespace {
 
-constexpr double cell_psi = 2 * pi / 64;
+constexpr int coarse = 64;  // columns and rows of the plane, from which depths are counted
+constexpr double cell_psi = 2 * pi / coarse;
 constexpr double beam_line = 5;  // mm, distance of tracks from the beam line that the fit expects
+// Where there are so many points, nearly all boxes of a coarse grid have points in all layers.
+constexpr int many_points = 300;
+constexpr int finest = 3;      // depth of a first grid
+constexpr double stale = 0.7;  // a finer grid is made anew when fewer of its points are left
 
 }  // namespace
 
 AxialSearch::AxialSearch(const Detector& detector, AxialHits& hits)
-    : detector_(detector),
-      hits_(hits),
-      points_(hits.points()),
-      largest_w_(hits.largest_w()),
-      counts_(static_cast<std::size_t>(columns * rows)) {
-  for (int i = 0; i < columns; ++i) columns_.emplace_back(-pi + i * cell_psi, cell_psi);
-}
+    : detector_(detector), hits_(hits), points_(hits.points()), largest_w_(hits.largest_w()) {}
 
 int AxialSearch::deepest(double w) const {
   const double pt = std::abs(curvature(detector_.bz, 1.0)) / std::max(std::abs(w), 1e-9);
@@ -43,82 +42,117 @@ int AxialSearch::layers_in(const Box& box) const {
 }
 
 void AxialSearch::push(const Box& box) {
-  const double middle = box.w + largest_w_ / rows / (1 << box.depth);
-  if (box.layers < hits_.least(middle)) return;
+  if (!is_worth(box)) return;
   heap_.push_back(box);
   std::ranges::push_heap(heap_, std::less<>());
 }
 
-// The boxes of the first grid with enough layers.
-void AxialSearch::start() {
-  heap_.clear();
-  arena_.clear();
-  divided_ = circles_ = 0;
-  std::uint64_t layers = 0;
-  for (const AxialPoint& p : points_) layers |= p.layer;
-  if (std::popcount(layers) < hits_.least(largest_w_)) return;
-  crossed_.clear();
-  for (int column = 0; column < columns; ++column) {
-    fill(column);
-    of_column_[static_cast<std::size_t>(column) + 1] = crossed_.size();
-  }
-  const double height = 2 * largest_w_ / rows;
-  for (int column = 0; column < columns; ++column)
-    for (int row = 0; row < rows; ++row) {
-      const int at = column * rows + row;
-      if (counts_[static_cast<std::size_t>(at)] < hits_.least(largest_w_)) continue;
-      push({counts_[static_cast<std::size_t>(at)], 0, -pi + column * cell_psi, -largest_w_ + row * height, -1,
-            at, 0});
-    }
+bool AxialSearch::is_worth(const Box& box) const {
+  return box.layers >= hits_.least(box.w + largest_w_ / coarse / (1 << box.depth));
 }
 
-std::uint64_t AxialSearch::crossed_rows(const AxialPoint& point, const Column& edges) const {
-  const Curves curves(point, edges);
+void AxialSearch::start() {
+  circles_ = 0;
+  make_grid();
+}
+
+int AxialSearch::points_left() const {
+  return static_cast<int>(std::ranges::count(points_, false, &AxialPoint::left_out));
+}
+
+// The boxes of the first grid with enough layers.
+void AxialSearch::make_grid() {
+  heap_.clear();
+  arena_.clear();
+  divided_ = 0;
+  gridded_ = points_left();
+  std::uint64_t layers = 0;
+  for (const AxialPoint& p : points_)
+    if (!p.left_out) layers |= p.layer;
+  first_depth_ = 0;
+  if (std::popcount(layers) < hits_.least(largest_w_)) return;
+  while (first_depth_ < finest && gridded_ > many_points << first_depth_) ++first_depth_;
+  switch (first_depth_) {
+    case 0:
+      fill<1>();
+      break;
+    case 1:
+      fill<2>();
+      break;
+    case 2:
+      fill<4>();
+      break;
+    default:
+      fill<8>();
+  }
+  std::ranges::make_heap(heap_, std::less<>());
+  const double width = cell_psi / (1 << first_depth_), height = 2 * largest_w_ / coarse / (1 << first_depth_);
+  reach_.clear();
+  for (const AxialPoint& p : points_)
+    reach_.push_back(p.per * (p.drift + 0.5 * width * std::hypot(p.x, p.y)) + 0.5 * height);
+}
+
+// Sets the bits of the rows that the curves cross in their column.
+template <std::size_t words>
+void AxialSearch::cross(const Curves& curves, std::array<std::uint64_t, words>& crossed) const {
+  constexpr int rows = 64 * words;
   const double per_height = rows / (2 * largest_w_);
-  std::uint64_t crossed = 0;
   for (std::size_t side = 0; side < 2; ++side) {
     const double low = (curves.low[side] + largest_w_) * per_height,
                  high = (curves.high[side] + largest_w_) * per_height;
     if (!(high >= 0 && low < rows)) continue;
-    const int first = low > 0 ? static_cast<int>(low) : 0,
-              last = high < rows ? static_cast<int>(high) : rows - 1;
-    crossed |= (~std::uint64_t{0} >> (rows - 1 - last + first)) << first;
+    set_bits(crossed, low > 0 ? static_cast<unsigned>(low) : 0,
+             high < rows ? static_cast<unsigned>(high) : rows - 1U);
   }
-  return crossed;
 }
 
-// Counts the layers in the boxes of a column that curves of their points cross.
-void AxialSearch::fill(int column) {
-  const Column& edges = columns_[static_cast<std::size_t>(column)];
-  BitCounts<1> counts;
-  std::uint64_t layer = 0, in_layer = 0;
+// Counts the layers in the boxes that curves of their points cross, column by column.
+template <std::size_t words>
+void AxialSearch::fill() {
+  constexpr int size = 64 * words;
+  const double width = 2 * pi / size, height = 2 * largest_w_ / size;
+  const auto least = static_cast<unsigned>(hits_.least(largest_w_));
+  for (int column = 0; column < size; ++column) {
+    const double psi = -pi + column * width;
+    const Column edges(psi, width);
+    BitCounts<words> counts;
+    std::uint64_t layer = 0;
+    std::array<std::uint64_t, words> in_layer{};
+    for (const AxialPoint& point : points_) {
+      if (point.left_out || !edges.outward(point)) continue;
+      if (point.layer != layer) {  // points of a layer follow each other
+        counts.add(in_layer);
+        layer = point.layer;
+        in_layer = {};
+      }
+      cross(Curves(point, edges), in_layer);
+    }
+    counts.add(in_layer);
+    const auto enough = counts.at_least(least);
+    for (std::size_t word = 0; word < words; ++word)
+      for (std::uint64_t bits = enough[word]; bits != 0; bits &= bits - 1) {
+        const std::size_t row = 64 * word + static_cast<std::size_t>(std::countr_zero(bits));
+        const Box box{
+            counts.at(row), first_depth_, psi, -largest_w_ + static_cast<double>(row) * height, -1, -1,
+            circles_};
+        if (is_worth(box)) heap_.push_back(box);
+      }
+  }
+}
+
+// The points of a box of the first grid. Nearly all of them fail the first test, which costs least.
+void AxialSearch::collect(Box& box) {
+  const double scale = 1.0 / (1 << box.depth), width = cell_psi * scale,
+               height = 2 * largest_w_ / coarse * scale;
+  const Column edges(box.psi, width);
+  const double middle = box.psi + 0.5 * width, c = std::cos(middle), s = std::sin(middle),
+               w = box.w + 0.5 * height;
+  box.first = static_cast<std::int32_t>(arena_.size());
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const AxialPoint& point = points_[i];
-    if (!edges.outward(point)) continue;
-    const std::uint64_t crossed = crossed_rows(point, edges);
-    if (crossed == 0) continue;
-    crossed_.push_back({static_cast<std::int32_t>(i), crossed});
-    if (point.layer != layer) {  // points of a layer follow each other
-      counts.add({in_layer});
-      layer = point.layer;
-      in_layer = 0;
-    }
-    in_layer |= crossed;
-  }
-  counts.add({in_layer});
-  for (int row = 0; row < rows; ++row)
-    counts_[static_cast<std::size_t>(column * rows + row)] = counts.at(static_cast<std::size_t>(row));
-}
-
-// The points of a box of the first grid.
-void AxialSearch::collect(Box& box) {
-  const int row = box.last % rows;
-  const auto column = static_cast<std::size_t>(box.last / rows);
-  box.first = static_cast<std::int32_t>(arena_.size());
-  for (std::size_t i = of_column_[column]; i < of_column_[column + 1]; ++i) {
-    const Crossed& crossed = crossed_[i];
-    if ((crossed.rows >> row & 1) != 0 && !points_[static_cast<std::size_t>(crossed.point)].left_out)
-      arena_.push_back(crossed.point);
+    if (std::abs((point.y * c - point.x * s) * point.per - w) > reach_[i]) continue;
+    if (!point.left_out && edges.outward(point) && Curves(point, edges).cross(box.w, box.w + height))
+      arena_.push_back(static_cast<std::int32_t>(i));
   }
   box.last = static_cast<std::int32_t>(arena_.size());
 }
@@ -126,7 +160,7 @@ void AxialSearch::collect(Box& box) {
 // The four boxes in the place of one. Its points are read once, and written without branches.
 void AxialSearch::divide(const Box& box) {
   const int depth = box.depth + 1;
-  const double width = cell_psi / (1 << depth), height = 2 * largest_w_ / rows / (1 << depth);
+  const double width = cell_psi / (1 << depth), height = 2 * largest_w_ / coarse / (1 << depth);
   const double middle = box.w + height;
   const std::array<double, 2> psi{box.psi, box.psi + width}, bottom{box.w, middle},
       top{middle, middle + height};
@@ -160,6 +194,7 @@ void AxialSearch::divide(const Box& box) {
 
 // The count of a box is that of all its points when it was made; points left out since then lower it.
 std::optional<FoundCircle> AxialSearch::next() {
+  if (first_depth_ > 0 && points_left() < stale * gridded_) make_grid();
   while (!heap_.empty() && divided_ < most_boxes) {
     std::ranges::pop_heap(heap_, std::less<>());
     Box box = heap_.back();
@@ -176,7 +211,7 @@ std::optional<FoundCircle> AxialSearch::next() {
     } else {
       const double scale = 1.0 / (1 << box.depth);
       auto found =
-          hits_.fit(0, box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / rows * scale, beam_line, 0);
+          hits_.fit(0, box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / coarse * scale, beam_line, 0);
       // Whatever comes of it, the next search must find something else.
       ++circles_;
       for (std::int32_t i = box.first; i < box.last; ++i)

@@ -31,13 +31,12 @@ class AxialSearch {
   bool is_cut() const { return divided_ >= most_boxes && !heap_.empty(); }
 
  private:
-  static constexpr int columns = 64, rows = 64;
-  static constexpr int most_boxes = 600;  // divided in one event
+  static constexpr int most_boxes = 1200;  // divided in one grid
 
   struct Box {
     int layers, depth;
     double psi, w;             // lowest corner
-    std::int32_t first, last;  // its points in the arena; if first < 0, last is its place in the first grid
+    std::int32_t first, last;  // its points in the arena; first < 0: not collected yet
     int counted;               // circles that had been found when its layers were counted
 
     bool operator<(const Box& other) const {
@@ -79,17 +78,16 @@ class AxialSearch {
       return ((high[0] >= from) & (low[0] <= to)) | ((high[1] >= from) & (low[1] <= to));
     }
   };
-  // The rows of a column of the first grid that the curves of a point cross, one bit each.
-  struct Crossed {
-    std::int32_t point;
-    std::uint64_t rows;
-  };
-
-  void fill(int column);
-  std::uint64_t crossed_rows(const AxialPoint& point, const Column& edges) const;
+  void make_grid();
+  template <std::size_t words>
+  void fill();
+  template <std::size_t words>
+  void cross(const Curves& curves, std::array<std::uint64_t, words>& crossed) const;
+  int points_left() const;
   void collect(Box& box);
   void divide(const Box& box);
   void push(const Box& box);
+  bool is_worth(const Box& box) const;
   int layers_in(const Box& box) const;
   int deepest(double w) const;
 
@@ -97,12 +95,12 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
-  std::vector<std::uint8_t> counts_;                  // layers of each box of the first grid
-  std::vector<Crossed> crossed_;                      // column by column
-  std::array<std::size_t, columns + 1> of_column_{};  // where a column begins in `crossed_`
+  std::vector<double>
+      reach_;  // of each point: from the curvature in the middle of a box of the first grid, 1/mm
   std::vector<Box> heap_;
   std::vector<std::int32_t> arena_;
-  std::vector<Column> columns_;
+  int first_depth_ = 0;  // of the boxes of the first grid
+  int gridded_ = 0;      // points when it was made
   int divided_ = 0, circles_ = 0;
 };
 

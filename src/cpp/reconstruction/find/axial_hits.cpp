@@ -49,7 +49,7 @@ void AxialHits::load(const EventHits& hits) {
   int layers = 0;
   for (std::size_t i = 0; i < detector_.wires.size(); ++i) {
     if (detector_.wires[i].twist != 0) continue;
-    occupancy += hits.occupancy(i);
+    occupancy += hits.free_occupancy(i);
     ++layers;
   }
   layers_ = layers + static_cast<int>(gaps);

@@ -35,10 +35,28 @@ class BitCounts {
     return static_cast<std::uint8_t>(count);
   }
 
+  // The counters of at least `least`.
+  Bits at_least(unsigned least) const {
+    Bits more{}, equal;
+    equal.fill(~std::uint64_t{0});
+    for (std::size_t j = 0; j < words; ++j) {
+      for (std::size_t k = depth; k-- > 0;) {
+        if ((least >> k & 1) == 0) more[j] |= equal[j] & planes_[j][k];
+        equal[j] &= (least >> k & 1) == 0 ? ~planes_[j][k] : planes_[j][k];
+      }
+      more[j] |= equal[j];
+    }
+    return more;
+  }
+
   // The largest count, and the counters that have it.
   std::pair<int, Bits> most() const {
-    Bits left;
-    left.fill(~std::uint64_t{0});
+    Bits all;
+    all.fill(~std::uint64_t{0});
+    return most(all);
+  }
+  // The same of some of the counters.
+  std::pair<int, Bits> most(Bits left) const {
     int count = 0;
     for (std::size_t k = depth; k-- > 0;) {
       Bits with;

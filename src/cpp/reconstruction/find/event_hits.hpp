@@ -89,7 +89,12 @@ class EventHits {
   }
   // The cells of a layer that have a hit, and their share.
   std::int32_t fired(std::size_t layer) const { return fired_[layer]; }
-  double occupancy(std::size_t layer) const { return (fired_[layer] + 0.5) / detector_.wires[layer].cells; }
+  double occupancy(std::size_t layer) const { return occupancy(layer, fired_[layer]); }
+  // The share of those that no track beyond doubt has.
+  double free_occupancy(std::size_t layer) const {
+    return occupancy(layer,
+                     std::count(taken_.begin() + first_wire(layer), taken_.begin() + last_wire(layer), 0));
+  }
 
  private:
   // A hit of the input by its place: kind, layer, view and channel in one number.
@@ -116,6 +121,9 @@ class EventHits {
     });
   }
 
+  double occupancy(std::size_t layer, std::int64_t cells) const {
+    return (static_cast<double>(cells) + 0.5) / detector_.wires[layer].cells;
+  }
   static std::size_t place(std::size_t layer, View view) { return 2 * layer + (view == View::v ? 1 : 0); }
   double reach(const Hit& hit) const {
     const WireLayer& layer = detector_.wires[static_cast<std::size_t>(hit.layer)];

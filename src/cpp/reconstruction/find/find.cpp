@@ -42,11 +42,14 @@ class EventFinder {
       if (settings_.segments) from_segments();
       return tracks_;
     }
+    // Combinations of clusters grow faster than circles with the number of tracks.
+    const bool circles_first = settings_.chamber && is_crowded();
+    if (circles_first) from_chamber();
     if (settings_.segments && detector_.cgem.size() >= 3) {
-      for (const FindSeed& seed : segments_.three_layers(hits_)) try_segment(seed);
+      for (const FindSeed& seed : segments_.three_layers(hits_, !circles_first)) try_segment(seed);
       reach(limit_segments, segments_.is_cut());
     }
-    if (settings_.chamber) from_chamber();
+    if (settings_.chamber && !circles_first) from_chamber();
     if (settings_.segments && detector_.cgem.size() >= 2) {
       for (const FindSeed& seed : segments_.two_layers(hits_))
         if (!is_found(seed)) try_segment(seed);
@@ -63,6 +66,14 @@ class EventFinder {
  private:
   void reach(SearchLimit limit, bool cut) {
     if (cut) limits_ = static_cast<std::uint8_t>(limits_ | limit);
+  }
+
+  bool is_crowded() const {
+    constexpr std::size_t many_clusters = 20;  // in a layer
+    std::int32_t clusters = 0;
+    for (std::size_t i = 0; i < detector_.cgem.size(); ++i)
+      clusters += hits_.last(i, View::x) - hits_.first(i, View::x);
+    return static_cast<std::size_t>(clusters) > many_clusters * detector_.cgem.size();
   }
 
   void settle() {
@@ -140,8 +151,9 @@ class EventFinder {
     ++seeds_;
     FoundTrack track;
     if (!follower_.follow(seed, track) || !is_track(track)) return false;
-    const bool solid = track.wires >= many_wires && track.along >= many_along &&
-                       track.wires > wires_per_hole * track.holes && !track.has_gaps() &&
+    const bool solid = is_likely(track, settings_.min_score) && track.wires >= many_wires &&
+                       track.along >= many_along && track.wires > wires_per_hole * track.holes &&
+                       !track.has_gaps() &&
                        track.chi2 < largest_chi2 * static_cast<double>(track.hits.size());
     if (solid)
       for (const std::int32_t id : track.hits) hits_.take(id);
@@ -152,10 +164,13 @@ class EventFinder {
   void from_chamber() {
     axial_hits_.load(hits_);
     reach(limit_layers, axial_hits_.are_too_many());
-    axial_.start();
-    follow_circles(axial_);
-    reach(limit_boxes, axial_.is_cut());
-    axial_hits_.load(hits_);
+    // Tracks that are found leave fewer hits, among which a circle needs fewer layers.
+    for (int least = 0; axial_hits_.least(0) != least; axial_hits_.load(hits_)) {
+      least = axial_hits_.least(0);
+      axial_.start();
+      follow_circles(axial_);
+      reach(limit_boxes, axial_.is_cut());
+    }
     local_.start(hits_);
     reach(limit_local, local_.is_cut());
     follow_circles(local_);

@@ -327,6 +327,9 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
     ++(tilted ? track.along : track.across);
   }
   track.spanned = highest - lowest + 1;
+  track.hidden = 0;
+  for (std::int32_t layer = lowest; layer <= highest; ++layer)
+    track.hidden += hits_->occupancy(static_cast<std::size_t>(layer));
   std::ranges::reverse(track.hits);
   std::ranges::reverse(track.gains);
   const Five<double>& x = fitted_.x;

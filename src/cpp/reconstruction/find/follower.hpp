@@ -38,7 +38,8 @@ struct FoundTrack {
   // Layers of wires with a hit, and those from the first to the last; from the first one of the chamber if
   // there are clusters.
   int layers = 0, spanned = 0;
-  bool has_gaps() const { return layers < 0.85 * spanned; }
+  double hidden = 0;  // of these, in which a hit of something else is likely to be in the way
+  bool has_gaps() const { return layers + hidden < 0.85 * spanned; }
 };
 
 class Follower {

@@ -42,6 +42,7 @@ SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& setti
       score_(detector, settings) {}
 
 void SegmentFinder::load(const EventHits& hits, bool all) {
+  all_ = all;
   seeds_.clear();
   ranks_.clear();
   work_ = 0;
@@ -50,7 +51,7 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
     points_[layer].clear();
     const CgemLayer& cgem = detector_.cgem[layer];
     for (std::int32_t id = hits.first(layer, View::x); id < hits.last(layer, View::x); ++id) {
-      if (!all && hits.is_taken(id)) continue;
+      if (!all_ && hits.is_taken(id)) continue;
       const double phi = azimuth(cgem, hits[id].channel, hits[id].value), r = cgem.r_mid();
       points_[layer].push_back({r * std::cos(phi), r * std::sin(phi), phi, id});
     }
@@ -59,19 +60,19 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
 
 // z of the crossings of an X cluster with the V clusters of its sheet.
 void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point,
-                            std::vector<Height>& out, bool all) {
+                            std::vector<Height>& out) {
   out.clear();
   const CgemLayer& cgem = detector_.cgem[layer];
   work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
-    if (hits[id].channel != hits[point.id].channel || (!all && hits.is_taken(id))) continue;
+    if (hits[id].channel != hits[point.id].channel || (!all_ && hits.is_taken(id))) continue;
     const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
     if (std::abs(z) < cgem.half_length + 5) out.push_back({z, hits.pair_score(point.id, id), id});
   }
 }
 
-const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits) {
-  load(hits, true);
+const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits, bool all) {
+  load(hits, all);
   score_.start(hits);
   const std::size_t layers = points_.size();
   for (std::size_t inner = 0; inner + 2 < layers; ++inner)
@@ -113,9 +114,9 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
   const PivotApproach line = approach_pivot(at, 0, 0);
   const bool slow = std::abs(at.w) > 1.15 * largest_w_;
   if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
-  heights(hits, layers[0], a, heights_[0], true);
-  heights(hits, layers[1], b, heights_[1], true);
-  heights(hits, layers[2], c, heights_[2], true);
+  heights(hits, layers[0], a, heights_[0]);
+  heights(hits, layers[1], b, heights_[1]);
+  heights(hits, layers[2], c, heights_[2]);
   const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
                s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
   const Circle circle{{a.id, b.id, c.id},
@@ -181,7 +182,7 @@ void SegmentFinder::lines_of_two(const Circle& circle, std::size_t first, std::s
 const std::vector<FindSeed>& SegmentFinder::tracks(const EventHits& hits) {
   score_.start(hits);
   alone_ = true;
-  three_layers(hits);
+  three_layers(hits, true);
   alone_ = false;
   return seeds_;
 }
@@ -204,8 +205,8 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   if (a.x * c.x + a.y * c.y < 0) return;
   const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
   if (std::abs(at.w) > 1.15 * largest_w_) return;
-  heights(hits, inner, a, heights_[0], false);
-  heights(hits, outer, c, heights_[1], false);
+  heights(hits, inner, a, heights_[0]);
+  heights(hits, outer, c, heights_[1]);
   const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
   for (const Height& low : heights_[0]) {

@@ -24,8 +24,9 @@ class SegmentFinder {
   SegmentFinder(const Detector& detector, const FindSettings& settings);
 
   // Seeds of three layers, neighbours but for one between them at most, or of two with the beam line as a
-  // third point; the best ones first. Taken clusters are left out of those of two layers.
-  const std::vector<FindSeed>& three_layers(const EventHits& hits);
+  // third point; the best ones first. Taken clusters are left out of those of two layers, and of those of
+  // three unless `all` count.
+  const std::vector<FindSeed>& three_layers(const EventHits& hits, bool all);
   const std::vector<FindSeed>& two_layers(const EventHits& hits);
   // In a detector of three layers alone, a segment is all that a track has: those with three or two heights
   // in order of their scores, without those that chance explains as well.
@@ -56,8 +57,7 @@ class SegmentFinder {
   };
 
   void load(const EventHits& hits, bool all);
-  void heights(const EventHits& hits, std::size_t layer, const Point& point, std::vector<Height>& out,
-               bool all);
+  void heights(const EventHits& hits, std::size_t layer, const Point& point, std::vector<Height>& out);
   bool three_of(const Layers& layers, const EventHits& hits);
   void three(const Layers& layers, const Point& a, const Point& b, const Point& c, const EventHits& hits);
   void lines_of_three(const Circle& circle);
@@ -76,6 +76,7 @@ class SegmentFinder {
   std::vector<std::vector<Point>> points_;
   std::array<std::vector<Height>, 3> heights_;  // of the clusters of a circle or pair
   SegmentScore score_;
+  bool all_ = true;     // taken clusters count
   bool alone_ = false;  // segments are tracks
   std::vector<FindSeed> seeds_, sorted_;
   std::vector<Ranked> ranks_;

@@ -16,13 +16,19 @@ constexpr double largest_tanl = 3.2;
 constexpr double wire_height_error = 4, strip_height_error = 2;  // mm, with the error of the circle
 constexpr std::size_t most_heights = 400;
 
+// The bit closest to bit 32, the lower one of two.
+int closest_to_middle(std::uint64_t bits) {
+  constexpr int middle = 32;
+  const std::uint64_t above = bits >> middle, below = bits << middle;
+  const int up = std::countr_zero(above), down = std::countl_zero(below) + 1;
+  if (above == 0) return middle - down;
+  return below != 0 && down <= up ? middle - down : middle + up;
+}
+
 }  // namespace
 
 StereoSearch::StereoSearch(const Detector& detector, const FindSettings& settings)
-    : detector_(detector),
-      settings_(settings),
-      grid_(static_cast<std::size_t>(slopes * bins)),
-      counts_(grid_.size()) {}
+    : detector_(detector), settings_(settings) {}
 
 // A wire lies to the left of the circle by a quadratic in z, and by plus or minus the drift distance where
 // the track passes it.
@@ -82,36 +88,45 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
   wires(circle, hits);
   cut_ = cut_ || heights_.size() > most_heights;
   if (heights_.size() > most_heights) heights_.resize(most_heights);
-  std::ranges::fill(grid_, 0);
-  std::ranges::fill(counts_, 0);
   const double step = 2 * largest_tanl / slopes, bin = 2 * settings_.max_z / bins, per_bin = 1 / bin;
-  for (const Height& height : heights_) {
-    for (int i = 0; i < slopes; ++i) {
-      const double z0 = height.z - (-largest_tanl + (i + 0.5) * step) * height.s;
-      const double place = (z0 + settings_.max_z) * per_bin - 0.5;
-      if (!(place >= 0 && place < bins - 1)) continue;
-      const auto below = static_cast<std::size_t>(i * bins + static_cast<int>(place));
-      for (const std::size_t at : {below, below + 1}) {
-        counts_[at] = static_cast<std::uint8_t>(counts_[at] + ((grid_[at] & height.layer) == 0 ? 1 : 0));
-        grid_[at] |= height.layer;
+  for (int i = 0; i < slopes; ++i) {
+    const double tanl = -largest_tanl + (i + 0.5) * step;
+    BitCounts<1>& counts = counts_[static_cast<std::size_t>(i)];
+    counts.clear();
+    std::uint64_t layer = 0, in_layer = 0;
+    for (const Height& height : heights_) {
+      if (height.layer != layer) {  // heights of a layer follow each other
+        counts.add({in_layer});
+        layer = height.layer;
+        in_layer = 0;
       }
+      const double place = (height.z - tanl * height.s + settings_.max_z) * per_bin - 0.5;
+      if (place >= 0 && place < bins - 1) in_layer |= std::uint64_t{3} << static_cast<int>(place);
     }
+    counts.add({in_layer});
   }
+  std::array<BitCounts<1>::Bits, slopes> open;  // bins that no line was near
+  open.fill({~std::uint64_t{0}});
   for (std::size_t number = 0; number < most; ++number) {
-    const int best = *std::ranges::max_element(counts_);
-    if (best < 2 || (!lines_.empty() && best < 0.7 * lines_.front().layers)) break;
-    int place = -1;  // of the bins with most layers, the one whose z0 is closest to the origin
-    for (int i = 0; i < slopes * bins; ++i) {
-      if (counts_[static_cast<std::size_t>(i)] != best) continue;
-      if (place < 0 || std::abs(i % bins - bins / 2) < std::abs(place % bins - bins / 2)) place = i;
+    int best = 0, slope = 0,
+        offset = 0;  // of the bins with most layers, the one whose z0 is closest to the origin
+    for (int i = 0; i < slopes; ++i) {
+      const auto [layers, where] =
+          counts_[static_cast<std::size_t>(i)].most(open[static_cast<std::size_t>(i)]);
+      if (layers < best) continue;
+      const int nearest = closest_to_middle(where[0]);
+      if (layers == best && std::abs(nearest - bins / 2) >= std::abs(offset - bins / 2)) continue;
+      best = layers;
+      slope = i;
+      offset = nearest;
     }
-    const auto found =
-        line(-settings_.max_z + (place % bins + 0.5) * bin, -largest_tanl + (place / bins + 0.5) * step);
+    if (best < 2 || (!lines_.empty() && best < 0.7 * lines_.front().layers)) break;
+    const auto found = line(-settings_.max_z + (offset + 0.5) * bin, -largest_tanl + (slope + 0.5) * step);
     if (found) lines_.push_back(*found);
-    const int slope = place / bins, offset = place % bins;
-    for (int i = std::max(0, slope - 5); i <= std::min(slopes - 1, slope + 5); ++i)
-      for (int j = std::max(0, offset - 5); j <= std::min(bins - 1, offset + 5); ++j)
-        counts_[static_cast<std::size_t>(i * bins + j)] = 0;
+    constexpr int around = 5;  // bins
+    const int low = std::max(0, offset - around), high = std::min(bins - 1, offset + around);
+    for (int i = std::max(0, slope - around); i <= std::min(slopes - 1, slope + around); ++i)
+      open[static_cast<std::size_t>(i)][0] &= ~((~std::uint64_t{0} >> (bins - 1 - high + low)) << low);
   }
   return lines_;
 }

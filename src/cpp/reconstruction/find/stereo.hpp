@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "reconstruction/find/axial.hpp"
+#include "reconstruction/find/bit_counts.hpp"
 
 namespace cgemit {
 
@@ -41,8 +42,7 @@ class StereoSearch {
   const Detector& detector_;
   const FindSettings& settings_;
   std::vector<Height> heights_;
-  std::vector<std::uint64_t> grid_;   // layers of each bin, one bit each
-  std::vector<std::uint8_t> counts_;  // their number
+  std::array<BitCounts<1>, slopes> counts_;  // of each slope, the layers in each bin of z0
   std::vector<FoundLine> lines_;
   bool cut_ = false;
 };
