@@ -80,7 +80,7 @@ void set_bits(std::array<std::uint64_t, words>& bits, unsigned first, unsigned l
   const std::uint64_t from = ~std::uint64_t{0} << first % 64, to = ~std::uint64_t{0} >> (63 - last % 64);
   std::size_t j = first / 64;
   const std::size_t end = last / 64;
-  if (j == end) {
+  if (words == 1 || j == end) {
     bits[j] |= from & to;
     return;
   }

@@ -18,9 +18,9 @@ namespace cgemit {
 
 // Step of the time grid, ns: small against the 50 ns of shaper and induction gap.
 inline constexpr double time_step = 4.0;
-// Of an event: 0.2 ms, a hundred lives of a muon. Each strip with a current has the whole grid, and a chip
-// filters from the begin or from time 0.
-inline constexpr double most_steps = 1e5;
+// Steps of an event: 0.4 ms, hundreds of lives of a muon. Each strip with a current has the whole grid, and a
+// chip filters from the begin or from time 0.
+inline constexpr double longest_grid = 1e5;
 
 // Charge that an avalanche of charge 1 induces on the strips around it (`cgemit.detector.induction`). Between
 // the nodes of its way through the induction gap the current is constant.
@@ -83,10 +83,10 @@ class StripSignals {
     of_truth_.clear();
     start_ = first;
     last_ = (last - first) / time_step;
-    if (!(last_ + induction_ + std::max(0.0, -first / time_step) <= most_steps))
+    if (!(last_ + induction_ + std::max(0.0, -first / time_step) <= longest_grid))
       throw std::invalid_argument("currents of an event on a layer from " + to_text(first) + " to " +
                                   to_text(last + induction_ * time_step) +
-                                  " ns: expected a range of at most " + to_text(most_steps * time_step) +
+                                  " ns: expected a range of at most " + to_text(longest_grid * time_step) +
                                   " ns, and no earlier begin");
     bins_ = static_cast<std::size_t>(last_ + induction_) + 3;
   }
