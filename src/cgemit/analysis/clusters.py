@@ -165,7 +165,7 @@ def x_spectrum(residuals: ClusterResiduals, reach: float = 500.0, bins: int = 10
     extra = (f"one strip: {with_error(100 * share, 100 * error)} %",)
     return Spectrum(
         "X residual, R (φ − true φ)", X.unit, edges, histograms(parts, edges), x_widths(residuals), None,
-        f"{X_WINDOW:g} mm", extra,
+        f"{X_WINDOW:g} mm", extra, gaussian=False,
     )  # fmt: skip
 
 

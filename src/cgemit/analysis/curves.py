@@ -80,6 +80,8 @@ class Spectrum:
         Of all values, in `unit`.
     fit : GaussianFit or None
         Gaussian of all values, shown instead of the core.
+    gaussian : bool
+        Whether the core is a Gaussian, so that its width describes the shape.
     reach : str
         What the window of `resolution` is called.
     extra : tuple of str
@@ -94,6 +96,7 @@ class Spectrum:
     fit: GaussianFit | None = None
     reach: str = f"{WINDOW:g} core widths"
     extra: tuple[str, ...] = ()
+    gaussian: bool = True
 
     def fit_curve(self, points: int = 200) -> tuple[Floats, Floats]:
         """Return the fitted Gaussian as (x in `unit`, entries a bin), over three widths to each side."""
@@ -106,18 +109,17 @@ class Spectrum:
         return r.core_mean + r.core * u, inside * width / r.core * density
 
     def statistics(self) -> list[str]:
-        """Return the lines of statistics that figures show."""
+        """Return the lines of statistics that figures show: widths first, then mean and numbers of values."""
         r = self.resolution
-        lines = [f"n = {r.n:,}"]
-        if self.fit:
-            lines.append(self._line("Gaussian fit", self.fit.sigma, self.fit.sigma_error))
+        lines = [self._line("Gaussian fit", self.fit.sigma, self.fit.sigma_error)] if self.fit else []
+        lines += [self._line("core", r.core, r.core_error)] if self.gaussian and not self.fit else []
         lines += [
-            self._line("core", r.core, r.core_error),
             self._line("q68", r.q68, r.q68_error),
             self._line(f"RMS ({self.reach})" if r.outside else "RMS", r.rms, r.rms_error),
-            self._line("mean", r.core_mean, r.core_mean_error),
-            f"beyond 3 core widths: {100 * r.tail:.2f} %",
+            f"n = {r.n:,}",
         ]
+        if self.gaussian and not self.fit:
+            lines += [self._line("mean", r.core_mean, r.core_mean_error), f"beyond 3 core widths: {100 * r.tail:.2f} %"]
         not_fitted = sum(number for _, number in r.removed)
         counts = ((not_fitted, "not fitted"), (r.outside, f"beyond {self.reach}"))
         return [*lines, *(f"{name}: {number:,}" for number, name in counts if number), *self.extra]
@@ -156,9 +158,18 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
         raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least {FEWEST} for a resolution")
     known = quantity_of(parameter)
     values = known.residual(tracks)[tracks["status"] == 0]
-    edges = np.linspace(*widths.window, bins + 1)
+    edges = round_edges(*widths.window, bins)
     counts = histograms({"all": values}, edges)
     return Spectrum(f"{known.symbol}: fitted − true", known.unit, edges, counts, widths)
+
+
+def round_edges(low: float, high: float, bins: int) -> Floats:
+    """Return edges of about so many bins that cover a range; their width is 1, 2, 2.5 or 5 times a power of ten."""
+    raw = (high - low) / bins
+    power = 10.0 ** np.floor(np.log10(raw))
+    width = power * min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda step: abs(np.log(step * power / raw)))
+    first, last = np.floor(low / width + 1e-9), np.ceil(high / width - 1e-9)
+    return np.asarray(width * np.arange(first, last + 1))
 
 
 def histograms(parts: Mapping[str, Floats], edges: Floats) -> dict[str, Ints]:

@@ -79,8 +79,8 @@ def draw_spectrum(axes: Axes, spectrum: Spectrum, title: str = "", colour: str =
     axes.errorbar(centres[filled], n, np.sqrt(n), fmt="o", ms=2.8, lw=0.9, color=colour, zorder=3)
     x, y = spectrum.fit_curve()
     axes.plot(x, y, color=COLORS["fit"], lw=1.8, zorder=4)
-    _label_spectrum(axes, spectrum, title, headroom=1.65)  # the statistics reach to the middle of the axes
-    statistics_box(axes, spectrum.statistics())
+    _label_spectrum(axes, spectrum, title)
+    _statistics(axes, spectrum)
 
 
 def draw_parts(axes: Axes, spectrum: Spectrum, parts: Mapping[str, tuple[str, str]], title: str = "") -> None:
@@ -94,9 +94,9 @@ def draw_parts(axes: Axes, spectrum: Spectrum, parts: Mapping[str, tuple[str, st
     for name, (colour, text) in parts.items():
         axes.stairs(spectrum.counts[name], spectrum.edges, fill=True, color=colour, alpha=0.75, label=text)
     axes.stairs(spectrum.counts["all"], spectrum.edges, color=COLORS["data"], lw=1.3, label="all")
-    _label_spectrum(axes, spectrum, title)
-    statistics_box(axes, spectrum.statistics())
+    _label_spectrum(axes, spectrum, title, headroom=1.12)
     axes.legend(loc="upper left")
+    statistics_box(axes, spectrum.statistics())
 
 
 def draw_tails(
@@ -115,9 +115,10 @@ def draw_tails(
     windows : sequence of (float, str)
         Half-width in the spectrum's unit, and what is written beside it.
     """
+    # All as an area behind its parts, whose lines it would cover.
+    axes.stairs(spectrum.counts["all"], spectrum.edges, fill=True, color=COLORS["matter"], label="all", zorder=1)
     for name, (colour, text) in parts.items():
-        axes.stairs(spectrum.counts[name], spectrum.edges, color=colour, lw=1.2, label=text)
-    axes.stairs(spectrum.counts["all"], spectrum.edges, color=COLORS["data"], lw=1.3, label="all", zorder=1)
+        axes.stairs(spectrum.counts[name], spectrum.edges, color=colour, lw=1.3, label=text, zorder=2)
     _label_spectrum(axes, spectrum, title)
     top = 3 * max(1, spectrum.counts["all"].max())
     axes.set(yscale="log", ylim=(0.5, top))
@@ -127,6 +128,21 @@ def draw_tails(
         beside: dict[str, Any] = {"xytext": (2, 0), "textcoords": "offset points", "rotation": 90, "fontsize": 8}
         axes.annotate(text, (reach, 0.7 * top), va="top", ha="left", color=COLORS["text"], **beside)
     axes.legend(loc="upper left", frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
+
+
+def _statistics(axes: Axes, spectrum: Spectrum) -> None:
+    """Write the statistics into both upper corners, beside the peak, and make room below them."""
+    lines = spectrum.statistics()
+    half = next(i for i, line in enumerate(lines) if line.startswith("n ="))
+    for part, right in ((lines[half:], False), (lines[:half], True)):
+        statistics_box(axes, [line.replace(": ", "\n") if len(line) > 28 else line for line in part], right=right)
+    centres, n = 0.5 * (spectrum.edges[1:] + spectrum.edges[:-1]), spectrum.counts["all"]
+    low, high = axes.get_xlim()
+    for text in axes.texts:
+        box = text.get_window_extent().transformed(axes.transAxes.inverted())
+        below = (centres > low + (box.x0 - 0.03) * (high - low)) & (centres < low + (box.x1 + 0.03) * (high - low))
+        tallest = float((n + np.sqrt(n))[below].max(initial=0.0))
+        axes.set_ylim(top=max(axes.get_ylim()[1], 1.25 * tallest / max(box.y0, 0.3)))
 
 
 def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str, headroom: float = 1.25) -> None:

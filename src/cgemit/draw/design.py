@@ -15,14 +15,24 @@ from matplotlib.colors import Normalize
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.covariance.result import Budget, By
 from cgemit.covariance.sensitivity import Sensitivity
-from cgemit.draw.style import COLORS, Picture, grid, legend_entries, mathematical, new_picture, plain, style
+from cgemit.draw.style import (
+    COLORS,
+    MARKERS,
+    SERIES,
+    Picture,
+    fills,
+    grid,
+    legend_entries,
+    mathematical,
+    new_picture,
+    plain,
+    style,
+)
 from cgemit.tables.show import shown
 
 Floats = npt.NDArray[np.float64]
 
-_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"])
 _OTHER = "other"
-_AREAS = mpl.colormaps["tab20"](np.arange(20))[[0, 2, 4, 6, 8, 10, 12, 16, 18, 1, 3, 5, 7, 9, 11, 13, 17, 19]]
 
 
 def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
@@ -67,10 +77,11 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     with style():
         width = 6.2 + 0.085 * max(map(len, shares))  # room for the legend
         picture, (axes,) = new_picture(1, 1, (width, 4.6))
-        for number, name in enumerate(shares):
-            colour = COLORS["matter"] if name == _OTHER else _AREAS[number % len(_AREAS)]
+        for number, (name, (colour, hatch)) in enumerate(zip(shares, fills(len(shares)), strict=True)):
+            if name == _OTHER:
+                colour, hatch = COLORS["matter"], ""
             low, high = edges[number], edges[number + 1]
-            axes.fill_between(p, low, high, color=colour, lw=0, alpha=0.85, label=plain(name))
+            axes.fill_between(p, low, high, fc=colour, hatch=hatch, ec="white", lw=0, label=plain(name))
             axes.plot(p, high, color="white", lw=0.6)
         axes.set(xlim=(p[0], p[-1]), ylim=(0, 100), xlabel="p  (GeV/c)")
         symbol = mathematical(QUANTITIES[budget.quantity].symbol)
@@ -127,9 +138,10 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         width = before + 7.2
         picture, (axes,) = new_picture(1, 1, (width, tall))
         left = np.zeros(len(budgets))
-        for number, (key, piece) in enumerate(pieces.items()):
-            colour = COLORS["matter"] if key == _OTHER else _AREAS[number % len(_AREAS)]
-            axes.barh(np.arange(len(names)), piece, 0.72, left, color=colour, edgecolor="white", lw=0.5,
+        for (key, piece), (colour, hatch) in zip(pieces.items(), fills(len(pieces)), strict=True):
+            if key == _OTHER:
+                colour, hatch = COLORS["matter"], ""
+            axes.barh(np.arange(len(names)), piece, 0.72, left, color=colour, hatch=hatch, edgecolor="white", lw=0.5,
                       label=plain(key))  # fmt: skip
             left = left + piece
         for row, total in enumerate(left):
@@ -220,10 +232,9 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
     height = 0.8 / count
     with style():
         picture, (axes,) = new_picture(1, 1, (7.4, 1.3 + max(1.2, (0.16 + 0.13 * count) * len(rows))))
-        for number, name in enumerate(sensitivity.quantities):
+        for number, (name, (colour, hatch)) in enumerate(zip(sensitivity.quantities, fills(count), strict=True)):
             place = np.arange(len(rows)) + (number - 0.5 * (count - 1)) * height
             label = mathematical(QUANTITIES[name].sigma)
-            colour, hatch = _COLOURS[number % len(_COLOURS)], "//" * (number // len(_COLOURS))
             axes.barh(place, values[rows, number], height, color=colour, hatch=hatch, edgecolor="white", lw=0.3,
                       label=label)  # fmt: skip
         axes.axvline(0, color=COLORS["data"], lw=0.8)
@@ -242,8 +253,6 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
 
 Columns = Mapping[str, Sequence[Any]]
 
-_SWEEP_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], COLORS["single"], COLORS["multi"], COLORS["data"])
-_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 _MAP = "viridis"
 
 
@@ -328,7 +337,7 @@ def _scan(columns: Columns, parameters: tuple[str, ...], quantity: str, values: 
     x = _ticks(axes, columns[parameters[0]], "x")
     errors = _errors(columns, quantity)
     variant = np.array(columns["variant"])
-    for (text, here), marker, colour in zip(points(columns), cycle(_MARKERS), cycle(_SWEEP_COLOURS), strict=False):
+    for (text, here), marker, colour in zip(points(columns), cycle(MARKERS), cycle(SERIES), strict=False):
         rows = np.flatnonzero(here & drawn & (variant > 0))
         rows = rows[np.argsort(x[rows], kind="stable")]
         bars = errors[rows] if errors is not None else None
@@ -392,22 +401,35 @@ def _parallel(columns: Columns, parameters: tuple[str, ...], quantity: str, valu
     rows = np.flatnonzero(here & varied)
     names = [*parameters, quantity]
     picture, (axes,) = new_picture(1, 1, (max(6.0, 1.9 * len(names)), 4.6))
+    ticks = [label(name).replace("  (", "\n(") for name in names]
+    _coordinates(axes, columns, names, rows, values[rows], ticks)
+    note = f"; the best and worst {_BRIGHT} of {len(rows)} in colour" if len(rows) > _FEW else ""
+    axes.set_title(text + note, loc="left", fontsize=9.5)
+    picture.subplots_adjust(left=0.03, right=0.97, top=0.91, bottom=0.15)
+    return picture
+
+
+_FEW, _BRIGHT = 100, 25  # lines that can all be coloured; at either end of the values, of more
+
+
+def _coordinates(axes: Axes, columns: Columns, names: Sequence[str], rows: Any, values: Floats, ticks: Any) -> None:
+    """Draw a line for each row through an axis for each column; of many only those with extreme values in colour."""
     scaled, ends = zip(*(unit_scaled(columns[name], rows) for name in names), strict=True)
-    shade = Normalize(float(values[rows].min()), float(values[rows].max()))
-    colours = mpl.colormaps[_MAP](shade(values[rows]))
-    for line, colour in zip(np.array(scaled).T, colours, strict=True):
-        axes.plot(range(len(names)), line, color=colour, lw=1.0, alpha=0.75)
+    colours = mpl.colormaps[_MAP](Normalize(values.min(), values.max())(values))
+    rank = np.argsort(np.argsort(values, kind="stable"))
+    bright = (rank < _BRIGHT) | (rank >= len(rows) - _BRIGHT) | (len(rows) <= _FEW)
+    for line, colour, strong in zip(np.array(scaled).T, colours, bright, strict=True):
+        look: dict[str, Any] = {"lw": 1.1, "alpha": 0.8, "zorder": 2} if strong else {"lw": 0.4, "zorder": 1}
+        axes.plot(range(len(names)), line, color=colour if strong else COLORS["matter"], **look)
     for i, (low, high) in enumerate(ends):
-        axes.axvline(i, color=COLORS["wire"], lw=0.9)
-        for height, end, side in ((0, low, "top"), (1, high, "bottom")):
-            axes.text(i, height + (0.03 if height else -0.03), escaped(end), ha="center", va=side, fontsize=8.4)
-    axes.set_xticks(range(len(names)), [label(name).replace("  (", "\n(") for name in names], fontsize=8.4)
-    axes.set(ylim=(-0.12, 1.12), xlim=(-0.4, len(names) - 0.6), yticks=[], title=text)
+        axes.plot([i, i], [0, 1], color=COLORS["wire"], lw=0.9)
+        for height, end, side in ((-0.03, low, "top"), (1.03, high, "bottom")):
+            axes.text(i, height, escaped(end), ha="center", va=side, fontsize=8.4)
+    axes.set_xticks(range(len(names)), ticks, fontsize=8.2)
+    axes.set(ylim=(-0.12, 1.12), xlim=(-0.5, len(names) - 0.5), yticks=[])
     axes.tick_params(top=False, bottom=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
-    picture.subplots_adjust(left=0.03, right=0.97, top=0.91, bottom=0.15)
-    return picture
 
 
 def unit_scaled(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]:
@@ -420,7 +442,7 @@ def unit_scaled(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]
     numbers = np.array(chosen, np.float64)
     low, high = float(np.nanmin(numbers)), float(np.nanmax(numbers))
     width = high - low
-    return ((numbers - low) / width if width else np.full(len(numbers), 0.5)), (f"{low:.5g}", f"{high:.5g}")
+    return ((numbers - low) / width if width else np.full(len(numbers), 0.5)), (f"{low:.4g}", f"{high:.4g}")
 
 
 _NAMES = {
@@ -528,7 +550,7 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
     pairs = list(combinations(range(len(objectives)), 2))
     with style():
         picture, every = new_picture(1, len(pairs), (0.6 + 4.7 * len(pairs), 4.9))
-        picture.set_layout_engine("constrained")
+        picture.set_layout_engine("constrained", wspace=0.08)  # a colour bar's label keeps off the next axis
         for axes, (i, k) in zip(every, pairs, strict=True):
             x, y = values[i], values[k]
             rest = allowed & ~front & ~tied
@@ -600,21 +622,8 @@ def draw_parallel(
     values = np.array([columns[colour_by][i] for i in rows], np.float64)
     with style():
         picture, (axes,) = new_picture(1, 1, (max(6.4, 0.8 + 1.35 * len(names)), 4.9))
-        scaled, ends = zip(*(unit_scaled(columns[name], rows) for name in names), strict=True)
-        colours = mpl.colormaps[_MAP](Normalize(values.min(), values.max())(values))
-        for line, colour in zip(np.array(scaled).T, colours, strict=True):
-            axes.plot(range(len(names)), line, color=colour, lw=1.1, alpha=0.8)
-        for i, (low, high) in enumerate(ends):
-            axes.plot([i, i], [0, 1], color=COLORS["wire"], lw=0.9)
-            for height, end, side in ((-0.03, low, "top"), (1.03, high, "bottom")):
-                axes.text(i, height, escaped(end), ha="center", va=side, fontsize=8.4)
-        ticks = [_broken(optimum_label(name)) for name in names]
-        axes.set_xticks(range(len(names)), ticks, fontsize=8.0)
-        axes.set(ylim=(-0.12, 1.12), xlim=(-0.5, len(names) - 0.5), yticks=[])
+        _coordinates(axes, columns, names, rows, values, [_broken(optimum_label(name)) for name in names])
         axes.set_title(escaped(title), loc="left", fontsize=9.5)
-        axes.tick_params(top=False, bottom=False)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
         picture.subplots_adjust(left=0.02, right=0.98, top=0.92, bottom=0.17)
     return picture
 

@@ -38,6 +38,7 @@ _TITLE_WIDTH = 98  # characters in the width of the picture
 
 #: Colours of tracks, all different from those of drift circles, clusters and true crossings.
 TRACK_COLORS = ("#7A3E9D", "#222222", "#CC3377", "#6B3E26", "#7F7F00")
+_DASHES = ("-", "--", "-.", ":")  # a colour comes again with another dash
 GHOST = "#8A8A8A"
 
 
@@ -73,8 +74,13 @@ def event(result: Result, number: int = 0) -> Picture:
     """
     view = view_of(result, number)
     detector = view.detector
+    readout = f", read-out {result.settings.digitize.readout.name}" if detector.cgem else ""
+    finder = f", finder {result.finder}" if result.finder not in (None, "truth") else ""
+    whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {view.shot()}"
+    # Lines end behind a particle only.
+    title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace("\u00a0", " ")
     with style():
-        picture, axes, anodes, charges = _layout(len(detector.cgem))
+        picture, axes, anodes, charges = _layout(len(detector.cgem), title.count("\n"))
         for plot in axes[:2]:
             _transverse_detector(plot, detector)
             _transverse_hits(plot, view, magnified=plot is axes[1])
@@ -91,13 +97,6 @@ def event(result: Result, number: int = 0) -> Picture:
             _anode(plot, view, layer)
         if charges:
             draw_cluster_strips(charges, view)
-        readout = f", read-out {result.settings.digitize.readout.name}" if charges else ""
-        finder = f", finder {result.finder}" if result.finder not in (None, "truth") else ""
-        whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {view.shot()}"
-        # Lines end behind a particle only.
-        title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace(
-            "\u00a0", " "
-        )
         picture.suptitle(title, x=0.075, ha="left", fontsize=11.5)
         titles = ("across the beam", "inner layers", "side view")
         for plot, title in zip(axes, titles, strict=True):
@@ -107,12 +106,13 @@ def event(result: Result, number: int = 0) -> Picture:
     return picture
 
 
-def _layout(layers: int) -> tuple[Picture, list[Axes], list[Axes], list[Axes]]:
+def _layout(layers: int, more_lines: int) -> tuple[Picture, list[Axes], list[Axes], list[Axes]]:
     """Return a picture with axes across the beam, magnified, along it; for each unrolled anode; for charges of each."""
-    heights = [4.7, 2.6, 3.0, 2.4] if layers else [4.7, 2.6]
-    height = sum(heights) + 0.75 * len(heights) + 1.0
+    heights = [4.1, 2.6, 3.0, 2.4] if layers else [4.1, 2.6]  # the first row: as wide as high, no band below
+    above = 0.65 + 0.2 * more_lines  # inches, of the title
+    height = sum(heights) + 0.75 * len(heights) + 0.35 + above
     picture = Picture(figsize=(10.0, height))
-    edges = {"left": 0.075, "right": 0.925 if layers else 0.985, "top": 1 - 0.65 / height, "bottom": 1.3 / height}
+    edges = {"left": 0.075, "right": 0.925 if layers else 0.985, "top": 1 - above / height, "bottom": 1.3 / height}
     grid = picture.add_gridspec(len(heights), 1, height_ratios=heights, hspace=0.22, **edges)
     across = grid[0].subgridspec(1, 2, wspace=0.2)
     axes = [picture.add_subplot(place) for place in (across[0], across[1], grid[1])]
@@ -216,7 +216,13 @@ def _longitudinal_hits(axes: Axes, view: EventView) -> None:
 def _tracks(axes: Sequence[Axes], view: EventView) -> None:
     for path in view.paths:
         x, y, z = path.points.T
-        line: dict[str, Any] = {"color": TRACK_COLORS[path.row % len(TRACK_COLORS)], "lw": 1.4, "zorder": 3}
+        turn, which = divmod(path.row, len(TRACK_COLORS))
+        line: dict[str, Any] = {
+            "color": TRACK_COLORS[which],
+            "ls": _DASHES[turn % len(_DASHES)],
+            "lw": 1.4,
+            "zorder": 3,
+        }
         axes[0].plot(x, y, label=track_label(path.p), **line)
         axes[1].plot(x, y, **line)
         axes[2].plot(z, np.hypot(x, y), **line)
@@ -300,11 +306,15 @@ def event_3d(result: Result, number: int = 0) -> Any:
     axis = {"backgroundcolor": "#FFFFFF", "gridcolor": COLORS["grid"], "zerolinecolor": COLORS["grid"]}
     axes = {f"{name}axis": {"title": {"text": f"{name} (mm)"}, **axis} for name in "xyz"}
     figure.update_layout(
-        title={"text": f"{view.detector.name}, event {number}: {view.shot()}"}, template="none", margin={"t": 50},
-        scene={**axes, "aspectmode": "data", "camera": {"up": {"x": 0, "y": 1, "z": 0}}},
-        legend={"itemsizing": "constant"},
+        title={"text": f"{view.detector.name}, event {number}:<br>{view.shot()}", "x": 0.02, "font": {"size": 14}},
+        template="none", margin={"t": 60, "l": 0, "r": 0, "b": 0}, modebar={"orientation": "v"},
+        scene={**axes, "aspectmode": "data", "camera": {"up": {"x": 0, "y": 1, "z": 0}, "eye": _EYE}},
+        legend={"itemsizing": "constant", "orientation": "h", "font": {"size": 11}},
     )  # fmt: skip
     return figure
+
+
+_EYE = {"x": 1.5, "y": 1.0, "z": 1.5}  # far enough for the ends of the wires
 
 
 def save_page(figure: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -327,7 +337,7 @@ def save_page(figure: Any, path: str | os.PathLike[str], *, overwrite: bool = Fa
     >>> cg.draw.save_page(cg.draw.event_3d(result), "event.html").name
     'event.html'
     """
-    title = figure.layout.title.text.replace("<", "&lt;")
+    title = figure.layout.title.text.replace("<br>", " ").replace("<", "&lt;")
     how = {"config": {"displaylogo": False, "responsive": True}, "default_height": "100%", "div_id": "event"}
     body = figure.to_html(include_plotlyjs=True, full_html=False, **how)
     page = f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>{_CSS}</head>\n<body>'

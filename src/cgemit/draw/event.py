@@ -422,7 +422,7 @@ def draw_cluster_strips(axes: list[Axes], view: EventView) -> None:
             _draw_view(plot, one, colours, 1.0 if one.name == "X" else -1.0)
         plot.axhline(0, color=COLORS["text"], lw=0.8)
         plot.axvline(0, color=COLORS["cgem"], lw=1.2, ls="--", label="position of the cluster")
-        plot.set(xlim=(-reach, reach), ylim=(-1.45 * most, 1.45 * most), xlabel="across the strips  (mm)")
+        plot.set(xlim=(-reach, reach), ylim=(-1.6 * most, 1.6 * most), xlabel="across the strips  (mm)")
         plot.set_title(f"strips of the largest clusters, {plain(layer.label)}", loc="left")
         plot.yaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
         plot.tick_params(length=3)
@@ -438,8 +438,11 @@ def _draw_view(axes: Axes, strips: ClusterStrips, colours: ScalarMappable, sign:
     bars.set_label(f"_{strips.name}")
     if np.isfinite(strips.truth):
         tip = sign * 0.5 * float(strips.charge.max())
-        axes.plot([strips.truth] * 2, [0, tip], "-o", color=COLORS["truth"], mfc="none", ms=5, markevery=[1], lw=1.2)
+        # A white line below shows the pin on bars of any colour.
+        axes.plot([strips.truth] * 2, [0, tip], "-o", color="white", ms=8, markevery=[1], lw=4.0, zorder=3)
+        axes.plot([strips.truth] * 2, [0, tip], "-o", color=COLORS["truth"], mfc="white", ms=5, markevery=[1], lw=1.6,
+                  zorder=3.1, label="true crossing of the strips")  # fmt: skip
     many = f"{strips.size} strip{'s' * (strips.size != 1)}"
-    off = f", residual {-1000 * strips.truth:+.0f} µm" if np.isfinite(strips.truth) else ""
-    statistics_box(axes, [f"{strips.name}: {strips.whole:.1f} fC, {many}{off}"], right=False,
-                   top=0.97 if sign > 0 else 0.12)  # fmt: skip
+    off = [f"residual {-1000 * strips.truth:+.0f} µm"] if np.isfinite(strips.truth) else []
+    statistics_box(axes, [f"{strips.name}: {strips.whole:.1f} fC, {many}", *off], right=False,
+                   top=0.97 if sign > 0 else 0.19)  # fmt: skip

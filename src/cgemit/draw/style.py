@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -36,9 +37,14 @@ COLORS = {
     "grid": "#E3E6EA",
 }
 
-# One more marker than colours, so that only the 43rd curve looks like the first.
-_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
-_COLOURS = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666", COLORS["multi"])
+#: Colours of curves, bars and areas, in turn; neighbours differ in lightness too.
+SERIES = (
+    COLORS["cgem"], COLORS["single"], COLORS["truth"], COLORS["idc"], COLORS["multi"], "#7A3E9D", "#F0E442", "#666666",
+)  # fmt: skip
+#: One marker fewer than colours, so that only the 57th curve looks like the first.
+MARKERS = ("o", "s", "D", "^", "v", "P", "X")
+_LINES = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666", COLORS["multi"])
+_HATCHES = ("", "///", "...", "xxx")
 
 _STYLE = {
     "font.size": 9.5,
@@ -160,13 +166,21 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+_SYMBOLS = {
+    "d_ρ": r"$d_\rho$", "d_z": "$d_z$", "p_T": "$p_T$", "φ₀": r"$\phi_0$", "tan λ": r"$\tan\lambda$", "κ": r"$\kappa$",
+}  # fmt: skip
+
+
 def mathematical(label: str) -> str:
-    """Return a label with the subscripts of d_ρ, d_z and p_T set as such."""
-    return label.replace("d_ρ", r"$d_\rho$").replace("d_z", "$d_z$").replace("p_T", "$p_T$")
+    """Return a label with d_ρ, d_z, p_T, φ₀, κ and tan λ set as formulas."""
+    for text, formula in _SYMBOLS.items():
+        label = label.replace(text, formula)
+    return label
 
 
 def statistics_box(axes: Axes, lines: Sequence[str], *, right: bool = True, top: float = 0.97) -> None:
     """Write a few lines of numbers into a corner of the axes."""
+    lines = [re.sub(r"(?<![\w.])-(?=\d)", "−", line) for line in lines]
     axes.text(
         0.97 if right else 0.03, top, "\n".join(lines), transform=axes.transAxes, ha="right" if right else "left",
         va="top", fontsize=8.4, linespacing=1.4, color=COLORS["text"],
@@ -193,7 +207,12 @@ def legend_below(picture: Picture, labels: Sequence[str]) -> None:
 
 def looks() -> Iterator[tuple[str, str]]:
     """Yield marker and colour of each curve."""
-    return zip(cycle(_MARKERS), cycle(_COLOURS), strict=False)
+    return zip(cycle(MARKERS), cycle(_LINES), strict=False)
+
+
+def fills(number: int) -> list[tuple[str, str]]:
+    """Return colour and hatch of each of several areas or bars; a colour comes again with another hatch."""
+    return [(SERIES[i % len(SERIES)], _HATCHES[i // len(SERIES) % len(_HATCHES)]) for i in range(number)]
 
 
 _NAMES = {"p": "p = {} GeV/c", "pt": "pT = {} GeV/c", "theta": "θ = {} rad", "cos_theta": "cos θ = {}"}

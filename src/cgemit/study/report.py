@@ -52,7 +52,12 @@ table.many { font-size: .8rem; min-width: 64rem; }
 table.many th, table.many td { padding: .35rem .4rem; }
 pre { background: #f4f6f9; padding: .8rem 1rem; overflow-x: auto; border-radius: 4px; }
 @media (max-width: 1063px) { td.why { min-width: 16rem; } .hint { display: block; } }
-@media print { body { margin: 0; max-width: none; } h2, figure { break-inside: avoid; } h2 { break-after: avoid; }
+@media (max-width: 640px) { body { margin-top: 1rem; padding: 0 .7rem; }
+  table:has(td.why) tr { display: flex; flex-wrap: wrap; } th.why { display: none; }
+  table:has(td.why) th, table:has(td.why) td { flex: 1; border: 0; white-space: normal; }
+  table:has(td.why) td.why { flex-basis: 100%; min-width: 0; border-bottom: 1px solid #dde3ea; } }
+@media print { body { margin: 0; max-width: none; } h2, figure { break-inside: avoid; } h2, h2 + p {
+  break-after: avoid; }
   .wide { overflow: visible; background: none; } .hint { display: none; }
   table.many { font-size: .62rem; min-width: 0; }
   figure img { max-width: 80%; max-height: 45vh; } }
@@ -117,7 +122,7 @@ class Section:
     parts: Sequence[Part]
 
 
-def html_report(title: str, lead: str, sections: Sequence[Section]) -> str:
+def html_report(title: str, lead: str, sections: Sequence[Section], first: Sequence[Part] = ()) -> str:
     """Return a whole HTML page that needs no other file and no network.
 
     In its text, arXiv numbers and files beside the page become links, "um" becomes "µm".
@@ -128,13 +133,15 @@ def html_report(title: str, lead: str, sections: Sequence[Section]) -> str:
         Heading, and the sentence below it.
     sections : sequence of Section
         Of distinct titles.
+    first : sequence of Part
+        What stands before the contents.
 
     Raises
     ------
     FileNotFoundError
         If a picture is missing.
     """
-    body = [f"<h1>{escape(title)}</h1>", f'<p class="lead">{_text(lead)}</p>', _contents(sections)]
+    body = [f"<h1>{escape(title)}</h1>", f'<p class="lead">{_text(lead)}</p>', *map(_html, first), _contents(sections)]
     for section in sections:
         body.append(f'<h2 id="{_anchor(section.title)}">{escape(section.title)}</h2>')
         body += [_html(part) for part in section.parts]

@@ -23,6 +23,7 @@ from cgemit.cli.main import main
 from cgemit.study import delta_displacements, delta_fractions, reproduce
 from cgemit.study.paper import report
 from cgemit.tables import Table
+from cgemit.tables.show import shown, with_error
 from stats import assert_within, fraction_error
 
 
@@ -154,8 +155,18 @@ def test_study_without_delta_electrons_says_so(tmp_path, monkeypatch):
     assert study.summary()["inputs"]["settings"]["simulate"]["deltas"] is False
     assert all(row.value == 0 for row in study.results if row.id.startswith("delta_fraction"))
     assert study["x_residual_rms_all"].value == study["x_residual_rms"].value < 188
-    monkeypatch.setattr(report, "_images", lambda *_: [])  # they take seconds to draw
+    monkeypatch.setattr(report, "_image", lambda *_: "")  # they take seconds to draw
     page = report.paper_report(study, tmp_path)
+    # The verdict stands before the contents, with each of the paper's numbers on the right side.
+    verdict = page[: page.index("Contents")]
+    near, far = verdict[verdict.index("Within 5 %") :].split("Farther away")
+    given = [row for row in study.results if row.paper is not None]
+    assert len(given) == 5
+    for row in given:
+        text = f"{with_error(row.value, row.error)} {shown(row.unit)} ({row.paper:g}, "
+        is_near = abs(row.value - row.paper) <= 0.05 * row.paper + row.error
+        assert (text in near, text in far) == (is_near, not is_near), text
+    assert f"{100 * (study['sigma_p'].value / 5.5 - 1):+.0f} %".replace("-", "−") in far
     for text in ("--no-deltas", "Delta electrons were left out", "187.6 µm"):
         assert text in page, text
     other = cgemit.Settings(fit=cgemit.FitSettings(kinks=False))

@@ -277,7 +277,7 @@ def test_charges_of_the_strips_are_those_of_the_tables(readout: str) -> None:
             np.testing.assert_allclose([bar.get_facecolor() for bar in bars], colours, rtol=0, atol=1e-12)
             text = next(one.get_text() for one in axes.texts if one.get_text().startswith("XV"[code]))
             assert f"{clusters['charge'][row]:.1f} fC, {clusters['size'][row]} strip" in text
-            assert f"residual {1000 * off[int(row)]:+.0f} µm" in text
+            assert f"residual {1000 * off[int(row)]:+.0f} µm".replace("-", "−") in text
 
 
 def test_noise_has_circles_of_its_own_and_the_title_names_the_finder() -> None:

@@ -101,7 +101,7 @@ def _residual(path: Path, spectrum: Spectrum, draw: Callable[[Any], None]) -> Pi
     with style():
         picture, (axes,) = new_picture(1, 1, (7.4, 4.8))
         draw(axes)
-        picture.subplots_adjust(left=0.11, right=0.98, top=0.93, bottom=0.12)
+        picture.subplots_adjust(left=0.11, right=0.96, top=0.93, bottom=0.12)  # room for half of the last tick's label
     return picture
 
 

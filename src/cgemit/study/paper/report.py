@@ -55,7 +55,7 @@ def paper_report(study: Reproduction, folder: Path) -> str:
         [
             Section("The paper's numbers", [_comparison(study), Note(_hits_note(study))]),
             Section("Delta electrons and the X residual", [*_windows(study), *_deltas(study)]),
-            Section("Figures of the paper", _images(folder, "paper")),
+            Section("Figures of the paper", [*_images(folder, "paper"), "Figure 6 is at the top of the page."]),
             Section("Are the errors right?", _images(folder, "beyond")),
             Section("Resolutions at 1 GeV/c", [*_resolutions(study)]),
             Section("Pulls at 1 GeV/c", [_pulls(study)]),
@@ -63,12 +63,39 @@ def paper_report(study: Reproduction, folder: Path) -> str:
             Section("The event that is drawn", _images(folder, "display")),
             Section("How to repeat this", _repeat(study)),
         ],
+        [Note(_verdict(study)), _image(folder, FIGURES[_FIRST])],
     )
 
 
+_FIRST = "dr_dz_p"  # the figure on the first screen
+_NEAR = 0.05  # of the paper's number
+
+
+def _verdict(study: Reproduction) -> str:
+    """Return which of the paper's numbers are met, and by how much others differ."""
+    near: list[str] = []
+    far: list[str] = []
+    for row in study.results:
+        if row.paper is None:
+            continue
+        apart = row.value / row.paper - 1
+        error = row.error / row.paper
+        text = f"{row.title}: {with_error(row.value, row.error)} {row.unit} ({row.paper:g}, {100 * apart:+.0f} %)"
+        (near if abs(apart) <= _NEAR + error else far).append(
+            text.replace("sigma", "σ").replace("rho", "ρ").replace("-", "−")
+        )
+    within = f"Within {100 * _NEAR:.0f} % and a statistical error of the paper's numbers (in brackets): "
+    farther = f" Farther away: {'; '.join(far)}. The table says why." if far else ""
+    return f"{within}{'; '.join(near) or 'none'}.{farther}"
+
+
 def _images(folder: Path, group: Group) -> list[Part]:
-    figures = [figure for figure in FIGURES.values() if figure.group == group]
-    return [Image(folder / f"{f.name}.png", f.title, f.caption, _files(folder, f)) for f in figures]
+    figures = [figure for name, figure in FIGURES.items() if figure.group == group and name != _FIRST]
+    return [_image(folder, figure) for figure in figures]
+
+
+def _image(folder: Path, figure: PaperFigure) -> Image:
+    return Image(folder / f"{figure.name}.png", figure.title, figure.caption, _files(folder, figure))
 
 
 def _files(folder: Path, figure: PaperFigure) -> list[str]:
@@ -168,10 +195,11 @@ def _repeat(study: Reproduction) -> list[Part]:
     finder = study.inputs.finder
     how = "" if finder == "truth" else f" --finder {finder_name(finder)}"
     command = f"cgemit study --events {study.inputs.events} --seed {study.inputs.seed}{how}{settings}{field} -o DIR"
-    seconds = ", ".join(f"{name} {value:.1f}" for name, value in study.timings.items())
+    times = {name.removesuffix("_s").removesuffix("_thread"): value for name, value in study.timings.items()}
+    seconds = ", ".join(f"{name} {value:.1f} s" for name, value in times.items())
     return [
         "The numbers depend on version, events and seed, not on threads.",
         Code(command),
-        f"cgemit {__version__}. Timings in seconds (stages are summed over threads): {seconds}.",
+        f"cgemit {__version__}. Times, stages summed over threads: {seconds}.",
         f"The CSV files beside this page hold the figures' data, summary.json all numbers, {RECORD} all settings.",
     ]

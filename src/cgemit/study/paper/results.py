@@ -328,8 +328,8 @@ def explain_x_rms(value: float, error: float, paper: float, beyond: float) -> st
         )  # fmt: skip
     return text + limit + (
         "What is beyond comes from delta electrons, whose strips join those of the track, and depends on the window: "
-        f"{100 * beyond:.2f} % lie outside this one. The paper does not state its own; docs/paper.md says why this one "
-        "was taken."
+        f"{100 * beyond:.2f} % lie outside this one. The paper does not state its own; the documentation on the "
+        "paper says why this one was taken."
     )  # fmt: skip
 
 
@@ -409,7 +409,7 @@ def explain_track(parameter: str, widths: Resolution, paper: float) -> str:
     reasons = {
         "dr": "d_rho follows matter and the core of the X residual; delta electrons add to its tails.",
         "dz": "d_z follows the V measurement of the inner layers and the angular range.",
-        "p": "p follows the wires: 130 um, all efficient, without material; docs/paper.md says what each would change.",
+        "p": "p follows the wires: 130 um, all efficient, without material; the documentation says more.",
     }
     return f"{text}{shape} {reasons[parameter]}"
 
