@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from itertools import count, repeat
 
 import cgemit as cg
-from cgemit.draw.style import COLORS, Picture, grid, legend_entries, new_picture, style
+from cgemit.analysis.quantities import QUANTITIES as SYMBOLS
+from cgemit.draw.style import COLORS, Picture, grid, legend_entries, mathematical, new_picture, style
 from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, say, share_of, table
 
@@ -117,16 +118,25 @@ def draw(found: Found) -> Picture:
                 shift = 1 + 0.012 * (names.index(row.detector) - 2) + 0.05 * (ANGLES.index(row.cos_theta) - 1.5)
                 plot.errorbar(
                     row.p * shift, row.ratio, row.error, fmt=looks[row.detector], color=colours[row.particle],
-                    ms=3, lw=0.8, label=f"{row.particle}, {row.detector}",
+                    ms=3, lw=0.8,
                 )  # fmt: skip
             plot.axhline(1, color=COLORS["data"], lw=0.8)
-            plot.set(title=quantity, xscale="log", xlabel="p  (GeV/c)", ylabel="covariance / simulation")
+            plot.set(
+                title=mathematical(SYMBOLS[quantity].symbol),
+                xscale="log",
+                xlabel="p  (GeV/c)",
+                ylabel="covariance / simulation",
+            )
             plot.set_xticks([0.2, 0.5, 1.0, 2.0], ["0.2", "0.5", "1", "2"])
             plot.minorticks_off()
             grid(plot)
+        for name, colour in colours.items():
+            axes[0].plot([], [], "o", color=colour, ms=6, label=name)
+        for name, marker in looks.items():
+            axes[0].plot([], [], marker, color=COLORS["data"], ms=5, label=name)
         entries = legend_entries(axes)
-        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=5, fontsize=8)
-        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.24, wspace=0.25, hspace=0.38)
+        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=5)
+        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.18, wspace=0.25, hspace=0.38)
     return picture
 
 

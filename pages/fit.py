@@ -21,9 +21,10 @@ from scipy.stats import chi2, kstest
 
 import cgemit as cg
 from cgemit import _core
+from cgemit.analysis.quantities import QUANTITIES as SYMBOLS
 from cgemit.analysis.widths import measure
 from cgemit.chain.result import Result
-from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, style
+from cgemit.draw.style import COLORS, Picture, legend_entries, mathematical, new_picture, style
 from cgemit.draw.style import grid as draw_grid
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import LOSSES, PARAMETERS, FitSettings
@@ -575,7 +576,15 @@ def draw_pulls(found: Found) -> Picture:
                 plot = next(plots)
                 _points(plot, [row for row in rows if (row.mode, row.parameter) == (mode, name)], quantity)
                 low, high = (0.85, 1.15) if quantity == "width" else (-0.2, 0.2)  # what fails by far is on file
-                plot.set(title=f"{name}, {mode}", ylabel=f"{quantity} of the pull", ylim=(low, high))
+                plot.set(
+                    title=f"{mathematical(SYMBOLS[name].symbol)}, {mode}",
+                    ylabel=f"{quantity} of the pull",
+                    ylim=(low, high),
+                )
+        for name, marker in _MARKERS.items():
+            axes[0].plot([], [], marker, color=COLORS["data"], ms=5, label=name)
+        for angle, colour in _ANGLE_COLOURS.items():
+            axes[0].plot([], [], "o", color=colour, ms=6, label=f"cos θ = {angle:g}")
         entries = legend_entries(axes)
         picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=6)
         picture.subplots_adjust(left=0.05, right=0.99, top=0.96, bottom=0.11, wspace=0.38, hspace=0.45)
@@ -592,8 +601,7 @@ def _points(plot: Axes, rows: Sequence[Pull], quantity: str) -> None:
         plot.fill_between((x - 0.02, x + 0.02), centre - allowed, centre + allowed, color=COLORS["matter"], lw=0)
         value, error = getattr(row, quantity), getattr(row, f"{quantity}_error")
         colour = _ANGLE_COLOURS[row.cos_theta]
-        label = f"{row.particle}, cos θ = {row.cos_theta:g}"
-        plot.errorbar(x, value, error, fmt=_MARKERS[row.particle], color=colour, ms=2.5, lw=0.8, label=label)
+        plot.errorbar(x, value, error, fmt=_MARKERS[row.particle], color=colour, ms=2.5, lw=0.8)
     plot.axhline(centre, color=COLORS["data"], lw=0.8)
     plot.set_xticks(range(len(MOMENTA)), [f"{p:g}" for p in MOMENTA])
     plot.set_xlabel("p  (GeV/c)")

@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 
 from cgemit.analysis.clusters import X_WINDOWS
+from cgemit.analysis.quantities import QUANTITIES
 from cgemit.base.validate import kinds_of
 from cgemit.chain.settings import Settings
 from cgemit.detector.readouts import READOUTS
+from cgemit.draw.style import mathematical
 from cgemit.particles.species import species
 from cgemit.tables.show import with_error
 from pages import alignment, background, covariance, deltas, fit, geant4, optimal, settings
@@ -222,9 +224,14 @@ def test_a_ratio_that_is_off_is_named() -> None:
 @pytest.mark.slow
 def test_the_picture_shows_every_gaussian_ratio() -> None:
     axes = covariance.draw(covariance.PAGE.read()).get_axes()
-    assert [plot.get_title() for plot in axes] == list(covariance.QUANTITIES)
+    assert [plot.get_title() for plot in axes] == [
+        mathematical(QUANTITIES[name].symbol) for name in covariance.QUANTITIES
+    ]
+    of_legend = axes[0].get_figure().legends[0].get_texts()
+    assert {text.get_text() for text in of_legend} == {*covariance.MOMENTA, *(row.detector for row in ratios())}
     for plot, quantity in zip(axes, covariance.QUANTITIES, strict=True):
-        drawn = sorted(float(line.get_ydata()[0]) for line in plot.lines if line.get_marker() not in ("None", "", None))
+        points = (line for line in plot.lines if line.get_marker() not in ("None", "", None) and len(line.get_ydata()))
+        drawn = sorted(float(line.get_ydata()[0]) for line in points)
         assert drawn == sorted(row.ratio for row in ratios() if (row.mode, row.quantity) == ("gaussian", quantity))
 
 
