@@ -2,6 +2,7 @@
 
 import os
 import pty
+import re
 import signal
 import subprocess
 import termios
@@ -19,13 +20,13 @@ def _default():
 
 @contextmanager
 def on_terminal(command, **options):
-    """Start such a program with a terminal for stderr; yield it and a function that reads up to a text, or all."""
+    """Start such a program with a terminal for stderr; yield it and a function that reads up to a pattern, or all."""
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (24, 100))
 
-    def read(text=None):
+    def read(pattern=None):
         found = ""
-        while text is None or text not in found:
+        while pattern is None or not re.search(pattern, found):
             try:
                 found += os.read(ours, 4096).decode()
             except OSError:  # the program has ended

@@ -195,7 +195,9 @@ runpy.run_module("cgemit", run_name="__main__", alter_sys=True)
 def test_sigterm_leaves_nothing(tmp_path):
     command = [sys.executable, "-u", "-m", "cgemit", *SIMULATE[:-1], "-n", "200000", "-o", str(tmp_path / "out")]
     with on_terminal(command) as (process, read):
-        assert "1%" in read("1%")
+        bar = read(r"[1-9]\d?%")  # any but the first: a slow machine may miss some
+        assert "%" in bar
+        assert "100%" not in bar
         assert list(tmp_path.iterdir())  # in the middle of it
         process.send_signal(signal.SIGTERM)
         rest = read()
