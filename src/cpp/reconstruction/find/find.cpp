@@ -6,7 +6,7 @@
 #include "reconstruction/find/anneal.hpp"
 #include "reconstruction/find/axial.hpp"
 #include "reconstruction/find/compete.hpp"
-#include "reconstruction/find/local.hpp"
+#include "reconstruction/find/displaced.hpp"
 #include "reconstruction/find/segments.hpp"
 #include "reconstruction/find/stereo.hpp"
 #include "reconstruction/find/trace_back.hpp"
@@ -25,7 +25,7 @@ class EventFinder {
         segments_(detector, settings),
         axial_hits_(detector, settings),
         axial_(detector, axial_hits_),
-        local_(detector, axial_hits_),
+        displaced_(detector, axial_hits_),
         stereo_(detector, settings),
         annealing_(detector, settings),
         stereo_only_(!detector.wires.empty() &&
@@ -171,9 +171,9 @@ class EventFinder {
       follow_circles(axial_);
       reach(limit_boxes, axial_.is_cut());
     }
-    local_.start(hits_);
-    reach(limit_local, local_.is_cut());
-    follow_circles(local_);
+    displaced_.start(hits_);
+    reach(limit_local, displaced_.is_cut());
+    follow_circles(displaced_);
     reach(limit_heights, stereo_.is_cut());
   }
 
@@ -236,7 +236,7 @@ class EventFinder {
   SegmentFinder segments_;
   AxialHits axial_hits_;
   AxialSearch axial_;
-  LocalSearch local_;
+  DisplacedSearch displaced_;
   StereoSearch stereo_;
   std::vector<HitKind> kinds_;
   Competition competition_;

@@ -16,9 +16,9 @@
 
 namespace cgemit {
 
-class LocalSearch {
+class DisplacedSearch {
  public:
-  LocalSearch(const Detector& detector, AxialHits& axial);
+  DisplacedSearch(const Detector& detector, AxialHits& axial);
 
   // Begins with the hits that `axial` holds.
   void start(const EventHits& hits);

@@ -1,4 +1,4 @@
-#include "reconstruction/find/local.hpp"
+#include "reconstruction/find/displaced.hpp"
 
 #include <algorithm>
 #include <bit>
@@ -32,7 +32,7 @@ std::uint64_t bit(const Detector& detector, std::size_t layer) {
 
 }  // namespace
 
-LocalSearch::LocalSearch(const Detector& detector, AxialHits& axial) : detector_(detector), axial_(axial) {
+DisplacedSearch::DisplacedSearch(const Detector& detector, AxialHits& axial) : detector_(detector), axial_(axial) {
   std::size_t run = 0;
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
     run = detector.wires[i].twist == 0 ? run + 1 : 0;
@@ -43,7 +43,7 @@ LocalSearch::LocalSearch(const Detector& detector, AxialHits& axial) : detector_
   }
 }
 
-void LocalSearch::start(const EventHits& hits) {
+void DisplacedSearch::start(const EventHits& hits) {
   segments_.clear();
   curves_.clear();
   next_ = 0;
@@ -67,7 +67,7 @@ void LocalSearch::start(const EventHits& hits) {
 }
 
 // Pairs of hits of two layers, not too far apart in azimuth.
-void LocalSearch::pairs(const Ends& ends, const EventHits& hits) {
+void DisplacedSearch::pairs(const Ends& ends, const EventHits& hits) {
   const WireLayer &low = detector_.wires[ends.inner], &high = detector_.wires[ends.outer];
   const double reach = steepest_segment * (high.r_end - low.r_end) / high.r_end * high.per_radian + 1;
   for (std::int32_t a = hits.first_wire(ends.inner); a < hits.last_wire(ends.inner); ++a) {
@@ -87,7 +87,7 @@ void LocalSearch::pairs(const Ends& ends, const EventHits& hits) {
 }
 
 // The four lines that touch two drift circles, where at most one layer of the ring has no hit on the line.
-void LocalSearch::tangents(const Ends& ends, const Circle& a, const Circle& b, const EventHits& hits) {
+void DisplacedSearch::tangents(const Ends& ends, const Circle& a, const Circle& b, const EventHits& hits) {
   const double dx = b.x - a.x, dy = b.y - a.y, apart = std::hypot(dx, dy);
   for (const double one : {-a.drift, a.drift}) {
     for (const double other : {-b.drift, b.drift}) {
@@ -122,7 +122,7 @@ void LocalSearch::tangents(const Ends& ends, const Circle& a, const Circle& b, c
 }
 
 // The distance of a hit of a layer from the segment, if curvature allows it.
-std::optional<double> LocalSearch::closest(const Segment& segment, std::size_t layer,
+std::optional<double> DisplacedSearch::closest(const Segment& segment, std::size_t layer,
                                            const EventHits& hits) const {
   const WireLayer& wires = detector_.wires[layer];
   const double along_0 = segment.x * segment.ux + segment.y * segment.uy,
@@ -147,7 +147,7 @@ std::optional<double> LocalSearch::closest(const Segment& segment, std::size_t l
 }
 
 // Counts the layers of other hits in each bin of the curvature at which the circle touches them.
-void LocalSearch::count(const Segment& segment) {
+void DisplacedSearch::count(const Segment& segment) {
   counts_.clear();
   const double largest = axial_.largest_w(), per_bin = bins / (2 * largest);
   const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * drift_error / segment.chord;
@@ -182,7 +182,7 @@ void LocalSearch::count(const Segment& segment) {
 }
 
 // The bin closest to the middle, the lower one of two.
-int LocalSearch::straightest(const BitCounts<words>::Bits& among) {
+int DisplacedSearch::straightest(const BitCounts<words>::Bits& among) {
   int best = -1;
   for (int i = 0; i < bins; ++i) {
     const auto at = static_cast<unsigned>(i);
@@ -193,7 +193,7 @@ int LocalSearch::straightest(const BitCounts<words>::Bits& among) {
 }
 
 // The curvature that most layers agree with.
-void LocalSearch::continued(const Segment& segment) {
+void DisplacedSearch::continued(const Segment& segment) {
   count(segment);
   const auto [others, where] = counts_.most();
   const int layers = std::popcount(segment.layers) + others, best = straightest(where);
@@ -218,7 +218,7 @@ void LocalSearch::continued(const Segment& segment) {
   curves_.push_back({layers, line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), w});
 }
 
-std::optional<FoundCircle> LocalSearch::next() {
+std::optional<FoundCircle> DisplacedSearch::next() {
   while (next_ < curves_.size()) {
     const Curve& curve = curves_[next_++];
     auto found = axial_.fit(curve.d, curve.psi, curve.w, any_distance, more_layers);
