@@ -63,6 +63,7 @@ POINTS = [("mu-", 0.2, 0.0), ("mu-", 1.0, 0.5), ("pi+", 0.5, 0.8), ("K+", 0.4, 0
 POINTS += [("K+", 0.8, 0.9)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("detector", ["besiii-cgem-design", pytest.param("besiii-idc", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("particle", "p", "cos_theta"), POINTS)
 def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: float, cos_theta: float) -> None:

@@ -12,6 +12,8 @@ from cgemit.particles.gun import Gun
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import Pulls, pulls
 
+pytestmark = pytest.mark.slow
+
 N = 4000  # a standard error of 0.011 of the width
 WIDTH, MEAN = 0.06, 0.08  # as on the validation page
 

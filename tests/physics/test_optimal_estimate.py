@@ -17,6 +17,8 @@ from pages.linear_table import TABLE, lossless_stack, table_stack
 from pages.optimal import WIRE, Hit, Stack, errors, optimum
 from tracks import MUON, hits_on
 
+pytestmark = pytest.mark.slow
+
 CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
 POINTS = [(name, *point) for name, points in TABLE.items() for point in points]
 

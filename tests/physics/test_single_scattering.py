@@ -8,6 +8,8 @@ from coulomb import core_angle, exact_quantiles, scattered, species
 from slabs import ARGON, CARBON, COPPER, HELIUM_PROPANE, KAPTON, MUON, slab_detector
 from stats import assert_within
 
+pytestmark = pytest.mark.slow
+
 SLABS = {
     "C 0.1 % X0": [(CARBON, 0.2135)],
     "Cu 14 um": [(COPPER, 0.014)],

@@ -25,6 +25,8 @@ from cgemit.tables import Table
 from exact import EXACT, assert_standard_normal
 from fields import HARMONIC
 
+pytestmark = pytest.mark.slow
+
 Floats = npt.NDArray[np.float64]
 N = 2500
 LAST_LAYER = 31  # outermost wire layer that the fit may use: the chamber goes on to 42

@@ -9,6 +9,8 @@ from cgemit import _core
 from slabs import BERYLLIUM, CARBON, COPPER, KAON, KAPTON, MUON, PION, PROTON, bethe, slab_detector
 from stats import assert_within, mean_error
 
+pytestmark = pytest.mark.slow
+
 FRACTIONS = np.array([0.01, 0.16, 0.5, 0.84, 0.99])
 
 

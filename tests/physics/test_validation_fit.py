@@ -98,6 +98,7 @@ def test_strips_and_tails_are_not_gaussian(monkeypatch: pytest.MonkeyPatch) -> N
     assert failures(results(Point("gaussian", DETECTORS[0], "mu-", 0.2, 0.5)))
 
 
+@pytest.mark.slow
 def test_default_loss_leaves_kappa_unbiased() -> None:
     """The most probable loss does not, up to 0.5 GeV/c."""
     rows = measure_losses(2000, 2)

@@ -5,11 +5,23 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "src" / "cgemit"
 CORE = ROOT / "src" / "cpp"
+
+
+@cache
+def nodes_of(source: str) -> tuple[ast.AST, ...]:
+    """Return all nodes of a module's syntax tree.
+
+    Parameters
+    ----------
+    source : str
+    """
+    return tuple(ast.walk(ast.parse(source)))
 
 
 def imports(source: str, package: str) -> Iterator[str]:
@@ -21,7 +33,7 @@ def imports(source: str, package: str) -> Iterator[str]:
     package : str
         Dotted name of the package that the module lies in, for relative imports.
     """
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.Import):
             yield from (name.name for name in node.names)
         elif isinstance(node, ast.ImportFrom):

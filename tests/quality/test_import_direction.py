@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 
 import pytest
-from sources import CORE, imports, included, module_of, package_of, python_files, top
+from sources import CORE, imports, included, module_of, nodes_of, package_of, python_files, top
 
 # A folder may include itself and those before it; stages stand side by side and never include each other.
 CPP_LAYERS = [
@@ -153,7 +153,7 @@ def test_a_circle_is_seen(first: str, second: str) -> None:
 
 def prints(text: str) -> bool:
     """Tell whether code prints; examples in docstrings may."""
-    calls = (node.func for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call))
+    calls = (node.func for node in nodes_of(text) if isinstance(node, ast.Call))
     return any(isinstance(called, ast.Name) and called.id == "print" for called in calls)
 
 

@@ -192,7 +192,9 @@ READOUT_CASES: dict[str, dict[str, tuple[Any, tuple[str, ...]]]] = {
 GIVEN: dict[str, dict[str, Any]] = {"edge": {"estimator": "micro-tpc"}}
 
 
-@pytest.mark.parametrize("name", READOUTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if READOUT_CASES[name] is ANALOG else ()) for name in READOUTS]
+)
 def test_settings_of_a_readout_change_what_they_are_for(name: str) -> None:
     """Digis, and clusters of the digis of the defaults: each half of a read-out takes the settings that it needs."""
     given, cases = READOUTS[name](), READOUT_CASES[name]

@@ -767,6 +767,51 @@ def test_the_score_asked_for_decides(layers, single):
     assert len(find(layers, single, method="chamber")["candidates"]) == 0
 
 
+def likeliest(detector, clusters, wires):
+    """The score of the only track of an event: the largest ``min_score`` with which it is found."""
+    low, high = 0.0, 400.0
+    while high - low > 0.01:
+        middle = 0.5 * (low + high)
+        found = cg.find_tracks(detector, clusters, wires, cg.FindSettings(min_score=middle))
+        low, high = (middle, high) if len(found["candidates"]) else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_an_earlier_hit_of_the_cell_may_hide_that_of_the_track(share):
+    """A drift distance too short for the track costs ln(share of fired cells), one too long ln(1 - efficiency)."""
+    run = cg.run(
+        "besiii-cgem-design",
+        cg.Gun("mu-", p=1.0, cos_theta=(-0.4, 0.4)),
+        n=8,
+        settings=QUIET,
+        until="find",
+        finder="truth",
+    )
+    layer = next(layer for layer in run.detector.drift_chamber.layers if layer.number == 24)
+    fired = np.arange(0, layer.cells, round(1 / share))
+    tried = 0
+    for event in range(8):
+        clusters, wires = (table[table["event"] == event] for table in (run.clusters, run.wire_hits))
+        of_layer = wires["layer"] == layer.number
+        if np.sum(of_layer) != 1 or not 2.5 < wires["drift"][of_layer][0] < 5.5:  # in the middle of one cell
+            continue
+        own = wires["wire"][of_layer][0]
+        others = np.array([cell for cell in fired if abs((cell - own + 9) % layer.cells - 9) > 3], "i4")
+        more = {name: np.repeat(column[of_layer], len(others)) for name, column in wires.columns.items()}
+        more |= {"wire": others, "wire_truth": np.full(len(others), -1)}
+        score = {}
+        for name, drift in (("short", 0.5), ("long", wires["drift"][of_layer][0] + 3)):
+            moved = wires.with_columns(drift=np.where(of_layer, drift, wires["drift"]))
+            columns = {key: np.concatenate([column, more[key]]) for key, column in moved.columns.items()}
+            score[name] = likeliest(run.detector, clusters, Table("wire_hits", columns, run.wire_hits.n_events))
+        hidden = (len(others) + 1) / layer.cells
+        lost = 1 - cg.FindSettings().efficiency
+        assert score["short"] - score["long"] == pytest.approx(np.log(hidden / lost), abs=0.1)
+        tried += 1
+    assert tried > 3
+
+
 def test_the_order_of_clusters_does_not_matter(layers, single):
     random = np.random.default_rng(3)
     order = np.lexsort((random.random(len(single)), single["event"]))

@@ -199,7 +199,7 @@ def test_charge_follows_gain_and_stays() -> None:
 
 def test_tiger_samples_the_charge_after_its_delay() -> None:
     """All charge of a gap in one point without width: the amplitude of its current on the strip, and no other."""
-    whole = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 20, seed=2, until="simulate", readout="tiger")
+    whole = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 7, seed=2, until="simulate", readout="tiger")
     point = whole.steps[np.unique(whole.steps["truth"], return_index=True)[1]]
     electrons = np.full(len(point), 100, "i4")
     point = point.with_columns(n_electrons=electrons, energy=whole.truths["energy"][point["truth"]])
@@ -242,7 +242,7 @@ def test_tiger_samples_the_charge_after_its_delay() -> None:
                         assert not read or found[key] == pytest.approx(sampled, abs=0.006 * charge)
                         middles += read and strip == math.floor(place)
                         transient += not read
-    assert middles > 100
+    assert middles > 30
     assert transient > 100  # the fast branch alone would read them
 
 

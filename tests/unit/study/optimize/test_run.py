@@ -398,6 +398,7 @@ def test_simulation_confirms_the_optimum(found: Optimization) -> None:
     assert error < math.hypot(*confirmed["ratio_error"])
 
 
+@pytest.mark.slow
 def test_a_confirmation_expects_what_its_tracks_have() -> None:
     space = {"cgem.L1.anode_radius": ("80 mm", "100 mm")}
     found = optimize(DESIGN, space, evaluate=Evaluation(), search=Search(steps=1))

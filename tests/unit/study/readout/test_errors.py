@@ -134,6 +134,7 @@ def test_terms_add_up(estimator: str, of_track: bool, of: tuple[str, ...]) -> No
         assert np.quantile(np.abs(plain.residual - sample.residual), 0.5) > 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readout", [TIGER, APV25], ids=["tiger", "apv25"])
 def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypatch: pytest.MonkeyPatch) -> None:
     """Core of all within 8 % and no bias; errors that are a quarter larger would not pass."""

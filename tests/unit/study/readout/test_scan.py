@@ -19,6 +19,7 @@ DESIGN = cg.load("besiii-cgem-design")
 TIGER = cg.TigerReadout()
 
 
+@pytest.mark.slow
 def test_quantities_change_what_they_should() -> None:
     """Gain multiplies the charge, the threshold removes strips, the drift field bends less at 1 T, the field more."""
     gain = scan(cg.TigerReadout(saturation=1e4), "gain", [6000, 12_000], n=200)
