@@ -114,6 +114,7 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
              "lorentz_shift": 0.0}  # fmt: skip
     cgem = {k: np.full(n_gaps, v + (gap_radius or 0) * k.startswith("r_")) for k, v in layer.items()}
     cgem |= {k: np.full(n_gaps, v, np.int32) for k, v in (("sheets", 1), ("strips_x", 800), ("strips_v", 900))}
+    cgem |= {"has_x": np.ones(n_gaps, np.uint8), "has_v": np.ones(n_gaps, np.uint8)}
     cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, 2))}
     real = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in ("number", "cells", "gid_first")}

@@ -29,7 +29,12 @@ STRUCTS = [
     ),
     ("SimulateSettings", "simulation/transport/simulate.hpp", SimulateSettings, {}),
     ("BinaryReadout", "simulation/digitize/binary.hpp", BinaryReadout, {"w_values": None}),
-    ("GaussianReadout", "simulation/digitize/gaussian.hpp", GaussianReadout, {"w_values": None, "seed": None}),
+    (
+        "GaussianReadout",
+        "simulation/digitize/gaussian.hpp",
+        GaussianReadout,
+        {"errors": "sigma_x", "w_values": None, "seed": None},
+    ),
     ("ProjectionReadout", "simulation/digitize/projection.hpp", ProjectionReadout, {"w_values": None, "seed": None}),
     (
         "WireReadout",

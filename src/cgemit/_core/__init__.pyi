@@ -245,8 +245,7 @@ def smear_positions(
     *,
     gain: float,
     w_values: npt.ArrayLike,
-    sigma_x: float,
-    sigma_v: float,
+    errors: _Columns,
     seed: int,
 ) -> dict[str, _Array]: ...
 def read_out_analog(
@@ -366,7 +365,9 @@ def charge_variances(
     path: npt.ArrayLike,
     number: npt.ArrayLike,
 ) -> _Array: ...
-def clusters_of_positions(detector: Detector, digis: _Columns, *, err_x: float, err_v: float) -> dict[str, _Array]: ...
+def clusters_of_positions(
+    detector: Detector, digis: _Columns, *, err_x: npt.ArrayLike, err_v: npt.ArrayLike
+) -> dict[str, _Array]: ...
 def size_errors(extents: npt.ArrayLike, pitch: float, sizes: int) -> _Array: ...
 
 # Number of the hit, its column, what it holds and what was expected.

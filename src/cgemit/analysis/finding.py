@@ -14,6 +14,7 @@ from cgemit.chain.result import Result
 from cgemit.chain.settings import finder_of
 from cgemit.detector import Detector
 from cgemit.detector.inventory import channels as strips
+from cgemit.detector.parts import pitches
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.find.truth import own_clusters, particle_rows, residuals
@@ -88,7 +89,7 @@ def count_particles(result: Result) -> ParticleCounts:
     truth = clusters["truth"][rows]
     mine = of_truth.first[truth]
     rows, truth = rows[mine], truth[mine]
-    views = len(result.detector.cgem) * 2
+    views = len(result.detector.layers) * 2
     seen = np.zeros((n, views), np.bool_)
     seen[of_truth.owner[truth], clusters["layer"][rows] * 2 + clusters["view"][rows]] = True
     x, v = seen[:, HIT_X::2], seen[:, HIT_V::2]
@@ -200,7 +201,7 @@ def _shared(result: Result, strips: Rows, best: Rows) -> Flags:
         return shared
     own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
     of_truth = np.where(own, particle_rows(particles, truths), -1)
-    layers = len(result.detector.cgem)
+    layers = len(result.detector.layers)
     key = of_truth * layers + truths["layer"]
     order = np.argsort(key, kind="stable")
     wanted = particle * layers + clusters["layer"][row]
@@ -214,8 +215,8 @@ def _shared(result: Result, strips: Rows, best: Rows) -> Flags:
 
 def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
     """Tell which clusters hold the mid-gap point of the crossing that they link to, or end a pitch before it."""
-    pitches = np.array([(cgem.pitch_x, cgem.pitch_v) for cgem in detector.cgem])
-    pitch = pitches[clusters["layer"], clusters["view"]]
+    of_layer = np.array([pitches(layer) for layer in detector.layers])
+    pitch = of_layer[clusters["layer"], clusters["view"]]
     off = np.abs(residuals(detector, clusters, truths, np.arange(len(clusters))))
     return np.asarray(off <= (0.5 * clusters["size"] + 1) * pitch)
 

@@ -46,6 +46,12 @@ _CGEM = (
     ("phi_first_deg", "first phi/deg", ".3f"), ("pitch_x_um", "X pitch/um", "g"), ("pitch_v_um", "V pitch/um", "g"),
     ("strips_x", "X strips", "d"), ("strips_v", "V strips", "d"), ("stereo_deg", "stereo/deg", "+.3f"),
 )  # fmt: skip
+_LAYERS = (
+    ("layer", "layer", "<s"), ("radius_mm", "r/mm", "g"), ("length_mm", "length/mm", "g"),
+    ("material", "material", "<s"), ("thickness_mm", "thickness/mm", ".4g"), ("views", "measures", "<s"),
+    ("error_x_um", "X error/um", ".4g"), ("error_v_um", "V error/um", ".4g"), ("pitch_x_um", "X pitch/um", "g"),
+    ("pitch_v_um", "V pitch/um", "g"), ("stereo_deg", "stereo/deg", "+.3f"), ("efficiency", "efficiency", "g"),
+)  # fmt: skip
 _WIRES = (
     ("layer", "layer", "d"), ("cells", "cells", "d"), ("gid_first", "first gid", "d"), ("r_end_mm", "r end/mm", ".2f"),
     ("r_mid_mm", "r mid/mm", ".2f"), ("half_length_mm", "half length/mm", "g"), ("twist_deg", "twist/deg", "+.3f"),
@@ -99,6 +105,8 @@ def text(numbers: Mapping[str, Any]) -> str:
         lines += ["", "Sub-layers", *_rows(_SUB_LAYERS, sub_layers)]
     if numbers["cgem"]:
         lines += ["", "CGEM read-out (strips per sheet)", *_rows(_CGEM, numbers["cgem"])]
+    if numbers["layers"]:
+        lines += ["", "Layers that measure positions (V at 90 deg: z)", *_rows(_LAYERS, numbers["layers"])]
     if numbers["wires"]:
         lines += ["", "Wire layers", *_rows(_WIRES, numbers["wires"])]
     return "\n".join(lines)

@@ -25,9 +25,10 @@ from cgemit.covariance.tracks import (
     sample_of,
 )
 from cgemit.detector import Detector, load
+from cgemit.detector.core import strip_view
 from cgemit.detector.gas import most_lost
 from cgemit.detector.keys import once
-from cgemit.detector.parts import DriftChamber
+from cgemit.detector.parts import CgemLayer, DriftChamber
 from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
@@ -239,7 +240,7 @@ def _tracks(
 ) -> tuple[Sample, Tracks]:
     """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
     number = points.samples or (128 if hits.vary or points.vary else 1)
-    sample = sample_of(points, number, len(detector.cgem))
+    sample = sample_of(points, number, len(detector.layers))
     scatter = number > 1 and points.at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
@@ -280,7 +281,7 @@ def _hit_model(detector: Detector, clusterer: Clusterer, sides_known: bool, fit:
     }  # fmt: skip
     model = with_errors_of(model, clusterer, detector)
     least = clusterer.readout.least_electrons
-    lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.cgem)
+    lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.layers)
     given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
     return ExpectedHits(model, lost or not given, least)
 
@@ -303,15 +304,27 @@ def with_errors_of(model: HitModel, clusterer: Clusterer, detector: Detector) ->
 def _errors(clusterer: Clusterer, detector: Detector) -> tuple[Floats, Floats, Floats]:
     """Return errors of X and V, mm, and their correlations, each (layers, 1) or (layers, len(COS_THETA))."""
     readout = clusterer.readout
-    sigma_x, sigma_v = clusterer.expected_errors(detector)
-    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(detector)}
-    x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(detector.cgem)) for name, one in given.items())
+    view = strip_view(detector)
+    alone, at = view.detector, view.layer
+    sigma_x, sigma_v = clusterer.expected_errors(alone)
+    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(alone)}
+    x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(at)) for name, one in given.items())
     for name, values in (("sigma_x", x), ("sigma_v", v)):
         if not (np.isfinite(values) & (values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
             raise ValueError(f"read-out {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
     if not (np.abs(xv) < 1).all():
         raise ValueError(f"read-out {readout.name}: correlations: expected numbers between -1 and 1")
-    return x, v, np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
+    xv = np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
+    if not detector.layer:
+        return x, v, xv
+    # Where a coordinate is not measured, its error is not asked for.
+    own = np.array([[0.0, 0.0] if isinstance(one, CgemLayer) else one.errors for one in detector.layers])
+    own[own == 0] = 1.0
+    found = []
+    for values, others in ((x, own[:, 0]), (v, own[:, 1]), (xv, np.zeros(len(own)))):
+        found.append(np.repeat(others[:, None], values.shape[1], axis=1))
+        found[-1][at] = values
+    return found[0], found[1], found[2]
 
 
 def _by_angle(name: str, given: npt.ArrayLike, layers: int) -> Floats:

@@ -15,7 +15,7 @@ from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, UPPER, quant
 from cgemit.covariance.tracks import Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.parts import Layer
 from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables.show import Shown, data_frame
@@ -130,14 +130,14 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     ----------
     detector : Detector
     """
-    found = [Source(f"{layer.label} {view}", layer.label, MEASUREMENT) for layer in detector.cgem for view in "XV"]
+    found = [Source(f"{layer.label} {view}", layer.label, MEASUREMENT) for layer in detector.layers for view in "XV"]
     chamber = detector.drift_chamber
     if chamber is not None:
         found += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
     for slab in slabs(detector):
         first = slab.shells[0]
-        of_layer = first.group in ("cathode", "drift", "foils", "anode")
-        inside = [layer.label for layer in detector.cgem if of_layer and _contains(layer, first.r_in)]
+        of_layer = first.group in ("cathode", "drift", "foils", "anode", "sensor", "support")
+        inside = [layer.label for layer in detector.layers if of_layer and _contains(layer, first.r_in)]
         part = inside[0] if inside else first.group
         name = f"{part} {first.group}" if inside else f"{first.group} {first.r_in:.5g} mm"
         for cause, weight in ((SCATTERING, "x0"), (STRAGGLING, "xi")):
@@ -150,7 +150,7 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     return (*found, Source("prior", "prior", PRIOR))
 
 
-def _contains(layer: CgemLayer, radius: float) -> bool:
+def _contains(layer: Layer, radius: float) -> bool:
     shells = list(layer.shells())
     return min(s.r_in for s in shells) <= radius + 1e-9 and radius < max(s.r_out for s in shells)
 

@@ -21,7 +21,7 @@ from cgemit.base.validate import check_whole
 from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
 from cgemit.detector.keys import Part, once
-from cgemit.detector.parts import DriftChamber
+from cgemit.detector.parts import CgemLayer, DriftChamber
 from cgemit.helix import path_to
 from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
@@ -113,12 +113,15 @@ def efficiencies_of(detector: Detector, least: int, kappa: Floats, tanl: Floats,
         See `Readout.least_electrons`.
     kappa, tanl, mass : ndarray, (tracks,) float64, (GeV/c)^-1, 1 and GeV/c2
     """
-    if all(most_lost(layer, least) < _LEAST_LOSS for layer in detector.cgem):
+    if all(most_lost(layer, least) < _LEAST_LOSS for layer in detector.layers):
         return np.zeros(0)
     slant = np.hypot(1.0, tanl)
     ln_betagamma = np.log(slant / np.abs(kappa) / mass)
-    found = np.ones((len(kappa), len(detector.cgem)))
-    for number, layer in enumerate(detector.cgem):
+    found = np.ones((len(kappa), len(detector.layers)))
+    for number, layer in enumerate(detector.layers):
+        if not isinstance(layer, CgemLayer):
+            found[:, number] = layer.efficiency
+            continue
         turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)
         path = layer.drift_gap * slant / np.maximum(np.cos(turned), _MOST_SLANTED)
         found[:, number] = enough_electrons(layer.gas, clusters_per_mm(layer.gas, ln_betagamma) * path, least)
@@ -142,7 +145,7 @@ def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np
     detector : Detector
     kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
     """
-    layers = [(layer.r_mid, layer.half_length) for layer in detector.cgem]
+    layers = [(layer.r_mid, layer.half_length) for layer in detector.layers]
     layers += _wire_layers(detector.drift_chamber) if detector.drift_chamber is not None else []
     found = np.zeros(len(kappa), bool)
     if not layers:

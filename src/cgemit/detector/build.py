@@ -25,7 +25,16 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from cgemit.detector.parts import BackgroundLevel, CgemLayer, Contents, Cylinder, DriftChamber, Labelled, WireLayer
+from cgemit.detector.parts import (
+    BackgroundLevel,
+    CgemLayer,
+    Contents,
+    Cylinder,
+    DriftChamber,
+    Labelled,
+    MeasurementLayer,
+    WireLayer,
+)
 from cgemit.detector.reader import (
     BELOW,
     FOR_ALL_LAYERS,
@@ -306,23 +315,25 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
     field = _field(reader, tables.get("field"))
     pipe = _cylinders(reader, "beam_pipe", tables.get("beam_pipe", {}))
     cgem = _cgem(reader, tables.get("cgem", {}))
+    layer = _measuring(reader, tables.get("layer", {}))
     walls = _cylinders(reader, "walls", tables.get("walls", {}))
     chamber = _chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
     levels = _background(reader, tables.get("background", {}))
-    if not cgem and not chamber and not reader.baseless:
-        reader.note("", "no detector", "at least one [cgem.<label>] or a [drift_chamber]")
+    if not cgem and not layer and not chamber and not reader.baseless:
+        reader.note("", "no detector", "at least one [cgem.<label>], [layer.<label>] or a [drift_chamber]")
     if problems:
-        more = check.field_problems(field) + check.geometry_problems(pipe, cgem, walls, chamber)
+        more = check.field_problems(field) + check.geometry_problems(pipe, cgem, layer, walls, chamber)
         raise DetectorError(source, problems + more)
     air = reader.materials["Air"]
     assert air is not None  # otherwise there was a problem
     return Contents(
-        **texts, field=field, beam_pipe=pipe, cgem=cgem, walls=walls, drift_chamber=chamber, background=levels, air=air
+        **texts, field=field, beam_pipe=pipe, cgem=cgem, layer=layer, walls=walls, drift_chamber=chamber,
+        background=levels, air=air,
     )  # fmt: skip
 
 
 # More parts than any detector has: a mistake, or meant to exhaust the memory.
-_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "walls": 100, "background": 100, "materials": 1000}
+_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "layer": 100, "walls": 100, "background": 100, "materials": 1000}
 _MOST_WIRE_LAYERS, _MOST_CELLS = 1000, 1_000_000
 
 
@@ -438,6 +449,46 @@ def _cgem(reader: Reader, raw: object) -> Labelled[CgemLayer]:
         complete_layer(values)
         found.append(CgemLayer(label=label, **values))
     return Labelled(sorted(found, key=lambda layer: layer.anode_radius))
+
+
+def _measuring(reader: Reader, raw: object) -> Labelled[MeasurementLayer]:
+    found = []
+    tables = reader.mapping("layer", raw)
+    for label, table in tables.items():
+        if isinstance(table, MeasurementLayer):
+            found.append(table)
+            continue
+        values = reader.table(f"layer.{label}", table, MeasurementLayer, siblings=tables)
+        complete_measurement(reader, f"layer.{label}", values)
+        found.append(MeasurementLayer(label=label, **values))
+    return Labelled(sorted(found, key=lambda layer: layer.radius))
+
+
+#: mm, of a sensor whose thickness is not given: a common silicon wafer.
+_SENSOR = 0.3
+#: Radii, of a layer whose length is not given: the acceptance is |cos(theta)| < 0.93.
+_LENGTH = 5.0
+
+
+def complete_measurement(reader: Reader, path: str, values: dict[str, Any]) -> None:
+    """Add length and thickness to the values (native units) of a measurement layer where they are missing.
+
+    `sigma`, `pitch` and `x0` are removed: they stand for the values of both coordinates and for a thickness.
+    """
+    for name in ("sigma", "pitch"):
+        both = values.pop(name, None)
+        for view in "xv":
+            if both is not None and f"{name}_{view}" in values:
+                reader.note(f"{path}.{name}", "also " + f"{name}_{view}", "one of both")
+            elif both is not None:
+                values[f"{name}_{view}"] = both
+    x0 = values.pop("x0", None)
+    if x0 is not None and "thickness" in values:
+        reader.note(f"{path}.x0", "also thickness", "one of both")
+    elif x0 is not None:
+        values["thickness"] = x0 * getattr(values["material"], "x0", UNUSABLE)
+    values.setdefault("thickness", _SENSOR)
+    values.setdefault("length", _LENGTH * values["radius"])
 
 
 def _chamber(reader: Reader, raw: object) -> DriftChamber | None:

@@ -10,7 +10,16 @@ from typing import Any, NamedTuple
 from cgemit.base.errors import Problem
 from cgemit.detector.field import Field
 from cgemit.detector.keys import Part, keys_of, once
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, WireLayer, extent
+from cgemit.detector.parts import (
+    STACKS,
+    CgemLayer,
+    Contents,
+    Cylinder,
+    DriftChamber,
+    MeasurementLayer,
+    WireLayer,
+    extent,
+)
 from cgemit.detector.reader import strip_text
 from cgemit.units import NATIVE, format_quantity
 
@@ -22,7 +31,7 @@ _THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
 def value_problems(detector: Contents) -> list[Problem]:
     """Return the values that lie outside the range of their key, for detectors made in Python."""
     problems = _below("field", _part_problems(detector.field))
-    for group in ("beam_pipe", "walls", "background", "cgem"):
+    for group in ("beam_pipe", "walls", "background", "cgem", "layer"):
         for part in getattr(detector, group):
             if found := _part_problems(part):
                 problems += _below(f"{group}.{part.label}", found)
@@ -72,11 +81,10 @@ def _part_problems(part: Part) -> list[Problem]:
             problems.append(Problem(name, f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(name, repr(value), key.expected()))
-    if isinstance(part, CgemLayer):
-        for name in ("cathode", "foil", "anode"):
-            for i, one in enumerate(getattr(part, name)):
-                if found := _part_problems(one):
-                    problems += _below(f"{name}[{i}]", found)
+    for name in STACKS.get(kind, ()):
+        for i, one in enumerate(getattr(part, name)):
+            if found := _part_problems(one):
+                problems += _below(f"{name}[{i}]", found)
     if isinstance(part, DriftChamber):
         for layer in part.layers:
             problems += _below(f"layers.{layer.number}", _part_problems(layer))
@@ -101,6 +109,7 @@ def _derived_from(layer: CgemLayer, name: str) -> str:
 def geometry_problems(
     beam_pipe: Sequence[Cylinder],
     cgem: Sequence[CgemLayer],
+    layers: Sequence[MeasurementLayer],
     walls: Sequence[Cylinder],
     chamber: DriftChamber | None,
 ) -> list[Problem]:
@@ -119,13 +128,16 @@ def geometry_problems(
             problems.append(Problem(f"cgem.{layer.label}", given, "gaps and electrodes that fit inside anode_radius"))
             continue
         spans.append(Span(layer.r_in, layer.r_out, layer.half_length, f"cgem.{layer.label}"))
+    for sensor in layers:
+        problems += _sensor_problems(sensor)
+        spans.append(Span(sensor.r_in, sensor.r_out, sensor.half_length, f"layer.{sensor.label}"))
     problems += _overlaps(spans)
     if chamber and _has_wires(chamber):
         problems += _chamber_problems(chamber)
-        layers = _sound_layers(chamber)
-        innermost = min((layer.r_mid for layer in layers), default=math.inf)
+        wires = _sound_layers(chamber)
+        innermost = min((layer.r_mid for layer in wires), default=math.inf)
         near = [span for span in spans if not span.r_out <= innermost]  # all, if the first radius could not be read
-        problems += [problem for span in near for problem in _wires_inside(span, layers)]
+        problems += [problem for span in near for problem in _wires_inside(span, wires)]
     return problems
 
 
@@ -140,6 +152,26 @@ def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
 @once
 def _read_out_problems(layer: CgemLayer) -> list[Problem]:
     return _strip_problems(layer) + _hole_problems(layer) + _map_problems(layer) + _dead_problems(layer)
+
+
+@once
+def _sensor_problems(layer: MeasurementLayer) -> list[Problem]:
+    """Return a sensor that begins inside the beam line, and strips that measure the same coordinate twice."""
+    path = f"layer.{layer.label}"
+    problems = []
+    if layer.r_in <= 0:
+        problems.append(Problem(f"{path}.thickness", f"{layer.thickness:g} mm", "an inner face outside the beam line"))
+    for view in "xv":
+        pitch = getattr(layer, f"pitch_{view}")
+        most = 2 * math.pi * layer.radius if view == "x" else layer.extent_v
+        if pitch > most:
+            problems.append(
+                Problem(f"{path}.pitch_{view}", f"{pitch:g} mm", f"at most {most:g} mm, the size of the layer")
+            )
+    if "V" in layer.views and abs(layer.stereo) < math.radians(1):
+        given = f"{math.degrees(layer.stereo):g} deg"
+        problems.append(Problem(f"{path}.stereo", given, "at least 1 deg, either sign: otherwise V is X"))
+    return problems
 
 
 def _strip_problems(layer: CgemLayer) -> list[Problem]:

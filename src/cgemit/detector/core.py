@@ -19,7 +19,19 @@ from cgemit.detector.gas import gap_columns, gap_table
 from cgemit.detector.keys import once
 from cgemit.detector.material import Material
 from cgemit.detector.matter import ENDLESS, NUMBERS, Slab, hole_table, slabs
-from cgemit.detector.parts import IN_PLACE, CgemLayer, Contents, DriftChamber, Shell, WireLayer, extent
+from cgemit.detector.parts import (
+    IN_PLACE,
+    CgemLayer,
+    Contents,
+    DriftChamber,
+    Layer,
+    Shell,
+    WireLayer,
+    extent,
+    pitches,
+    without_layers,
+)
+from cgemit.tables import Table
 
 Ints = npt.NDArray[np.int32]
 Floats = npt.NDArray[np.float64]
@@ -47,7 +59,7 @@ def strip_lists(detector: Detector) -> StripLists:
     """
     found: dict[str, list[Ints]] = {"dead": [], "hot": []}
     first = 0
-    for layer in detector.cgem:
+    for layer in detector.layers:
         per_sheet = layer.strips_x + layer.strips_v
         for sheet in range(layer.sheets):
             found["dead"].append(seam_strips(layer) + first + sheet * per_sheet)
@@ -60,14 +72,14 @@ def strip_lists(detector: Detector) -> StripLists:
     return StripLists(dead.astype(np.int32), np.setdiff1d(hot, dead).astype(np.int32))
 
 
-def seam_strips(layer: CgemLayer) -> Ints:
+def seam_strips(layer: Layer) -> Ints:
     """Return the X strips of a sheet whose middle is in the dead part of a seam, (n,) int32."""
     middle = (np.arange(layer.strips_x) + 0.5) * layer.pitch_x
     beside = np.minimum(middle, layer.strips_x * layer.pitch_x - middle)
     return np.flatnonzero(beside < 0.5 * layer.dead_seam).astype(np.int32)
 
 
-def in_dead_area(layer: CgemLayer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
+def in_dead_area(layer: Layer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
     """Return whether points of a sheet are in the dead part of a seam or of an end, (n,) bool.
 
     Parameters
@@ -384,7 +396,7 @@ def _made(
     return _core.Detector(
         bz=detector.field.bz,
         **table._asdict(),
-        cgem=cgem_table(detector.cgem),
+        cgem=cgem_table(detector.layers),
         wires=_placed(detector.drift_chamber) if detector.drift_chamber else wire_table(None),
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
@@ -429,14 +441,15 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
     )
 
 
-def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
+def cgem_table(layers: Sequence[Layer]) -> Columns:
     """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
-    names = (
-        *("r_readout", "r_gap_in", "r_gap_out", "half_length", "pitch_x", "pitch_v", "stereo", "offset_v"),
-        *("dead_seam", "dead_ends"),
-    )
+    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "stereo", "offset_v", "dead_seam", "dead_ends")
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
+    pitch = np.array([pitches(layer) for layer in layers], dtype=np.float64).reshape(-1, 2).T
+    columns |= {"pitch_x": pitch[0].copy(), "pitch_v": pitch[1].copy()}
+    for view in "XV":
+        columns[f"has_{view.lower()}"] = np.array([view in layer.views for layer in layers], dtype=np.uint8)
     columns["lorentz_shift"] = np.array([layer.lorentz_shift or 0.0 for layer in layers], dtype=np.float64)
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
@@ -449,6 +462,58 @@ def cgem_table(layers: Sequence[CgemLayer]) -> Columns:
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
     return columns
+
+
+class StripView(NamedTuple):
+    """The CGEM layers of a detector as read-outs with strips see them: alone, with numbers and strips of their own."""
+
+    detector: Detector
+    number: Ints  # (layers,) number among the CGEM layers, -1 for other layers
+    layer: Ints  # (CGEM layers,) their numbers in the detector
+    gid: Ints  # (CGEM layers,) what to add to the running number of a strip
+
+    def of(self, table: Table, **more: npt.NDArray[Any]) -> Table:
+        """Return rows of CGEM layers with the numbers that the layers have alone, and further columns changed."""
+        number = self.number[table["layer"]]
+        if "gid" in table:
+            more["gid"] = table["gid"] - self.gid[number]
+        return table.with_columns(layer=number, **more)
+
+    def back(self, table: Table, **more: npt.NDArray[Any]) -> Table:
+        """Return rows of CGEM layers alone with their numbers in the detector, and further columns changed."""
+        if "gid" in table:
+            more["gid"] = table["gid"] + self.gid[table["layer"]]
+        return table.with_columns(layer=self.layer[table["layer"]], **more)
+
+
+def joined(parts: Sequence[Table]) -> Table:
+    """Return the rows of tables of the same events by event and layer, those of one layer in their order.
+
+    Parameters
+    ----------
+    parts : sequence of Table
+        Of one kind and of different layers.
+    """
+    first = parts[0]
+    columns = {name: np.concatenate([one[name] for one in parts]) for name in first}
+    order = np.lexsort((columns["layer"], columns["event"]))
+    return Table(first.kind, {name: one[order] for name, one in columns.items()}, meta=first.meta, **first.cover)
+
+
+@once
+def strip_view(detector: Detector) -> StripView:
+    """Return the CGEM layers of a detector alone.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    alone = without_layers(detector)
+    layer = np.flatnonzero([isinstance(one, CgemLayer) for one in detector.layers]).astype(np.int32)
+    number = np.full(len(detector.layers), -1, np.int32)
+    number[layer] = np.arange(len(layer))
+    gid = np.subtract(cgem_table(detector.layers)["gid_first"][layer], cgem_table(alone.cgem)["gid_first"])
+    return StripView(alone, number, layer, gid.astype(np.int32))
 
 
 def wire_table(chamber: DriftChamber | None) -> Columns:

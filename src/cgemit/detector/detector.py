@@ -14,7 +14,7 @@ from cgemit.detector import check, export, variants
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import field_tables, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder
+from cgemit.detector.parts import Contents, Cylinder, Layer
 from cgemit.detector.reader import merged, set_path
 from cgemit.units import NATIVE
 
@@ -38,7 +38,7 @@ class Detector(Contents):
     def __post_init__(self) -> None:
         super().__post_init__()
         problems = check.value_problems(self) + check.geometry_problems(
-            self.beam_pipe, self.cgem, self.walls, self.drift_chamber
+            self.beam_pipe, self.cgem, self.layer, self.walls, self.drift_chamber
         )
         if problems:
             raise DetectorError(self.name, problems)
@@ -245,7 +245,7 @@ def bounds(detector: Detector, key: str) -> tuple[float, float]:
 
 def _order(detector: Detector) -> list[str]:
     """Return the parts from inside outward."""
-    parts: list[Cylinder | CgemLayer] = [*detector.beam_pipe, *detector.cgem, *detector.walls]
+    parts: list[Cylinder | Layer] = [*detector.beam_pipe, *detector.cgem, *detector.layer, *detector.walls]
     found = [(part.r_in, part.label) for part in parts]
     if detector.drift_chamber:
         found += [(layer.r_mid, str(layer.number)) for layer in detector.drift_chamber.layers]

@@ -26,6 +26,8 @@ from cgemit.detector.parts import (
     Contents,
     Cylinder,
     DriftChamber,
+    Layer,
+    MeasurementLayer,
     RatePoint,
     Shell,
     SubLayer,
@@ -40,6 +42,8 @@ def lines(detector: Contents) -> list[str]:
     found = [f"field {field_text(detector.field)}"]
     for layer in detector.cgem:
         found.append(f"cgem {layer.label}: {layer.text()}")
+    for sensor in detector.layer:
+        found.append(f"layer {sensor.label}: {sensor.text()}")
     if detector.drift_chamber:
         found.append(f"drift chamber: {detector.drift_chamber.text()}")
     if detector.background:
@@ -69,8 +73,8 @@ def describe(detector: Contents) -> dict[str, Any]:
     -------
     dict
         name, description, field_t (at the origin), field (text); `material`: one entry per scatterer with its
-        `sub_layers`; `cgem` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss at normal
-        incidence.
+        `sub_layers`; `cgem`, `layers` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss
+        at normal incidence.
 
     Examples
     --------
@@ -89,6 +93,7 @@ def describe(detector: Contents) -> dict[str, Any]:
         "field": field_text(detector.field),
         "material": material,
         "cgem": [_cgem(layer) for layer in detector.cgem],
+        "layers": [_sensor(layer) for layer in detector.layer],
         "wires": [_wires(layer, gid) for layer, gid in wires],
     }
 
@@ -96,7 +101,8 @@ def describe(detector: Contents) -> dict[str, Any]:
 def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
     first = slab.shells[0]
     middle = 0.5 * (slab.r_in + slab.r_out)
-    owner = next((layer.label for layer in detector.cgem if layer.r_in < middle < layer.r_out), None)
+    measuring: list[Layer] = [*detector.cgem, *detector.layer]
+    owner = next((layer.label for layer in measuring if layer.r_in < middle < layer.r_out), None)
     names = {"pipe": "beam pipe", "drift": "drift gap", "gas": "chamber gas"}
     part = names.get(first.group, first.group)
     rows = [
@@ -141,6 +147,25 @@ def _cgem(layer: CgemLayer) -> dict[str, Any]:
     }
 
 
+def _sensor(layer: MeasurementLayer) -> dict[str, Any]:
+    x, v = layer.errors
+    return {
+        "layer": layer.label,
+        "radius_mm": layer.radius,
+        "length_mm": layer.length,
+        "material": layer.material.name,
+        "thickness_mm": layer.thickness,
+        "views": " ".join(layer.views),
+        "error_x_um": 1000 * x,
+        "error_v_um": 1000 * v,
+        "pitch_x_um": 1000 * layer.pitch_x,
+        "pitch_v_um": 1000 * layer.pitch_v,
+        "stereo_deg": math.degrees(layer.stereo),
+        "efficiency": layer.efficiency,
+        "sigma_time_ns": layer.sigma_time,
+    }
+
+
 def _wires(layer: WireLayer, gid_first: int) -> dict[str, Any]:
     tilt = math.atan(layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length)
     return {
@@ -165,6 +190,7 @@ def to_dict(detector: Contents) -> dict[str, Any]:
     tables["field"] = _table(detector.field)
     tables["beam_pipe"] = {part.label: _table(part) for part in detector.beam_pipe}
     tables["cgem"] = {layer.label: _table(layer) for layer in detector.cgem}
+    tables["layer"] = {layer.label: _table(layer) for layer in detector.layer}
     tables["walls"] = {part.label: _table(part) for part in detector.walls}
     if detector.drift_chamber:
         tables["drift_chamber"] = _table(detector.drift_chamber)
@@ -191,7 +217,7 @@ def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any
     return tables | {"materials": {material.name: material for material in own_materials(detector)}}
 
 
-_GROUPS = ("beam_pipe", "cgem", "walls", "background")
+_GROUPS = ("beam_pipe", "cgem", "layer", "walls", "background")
 
 
 @once
@@ -206,6 +232,8 @@ def materials_of(detector: Contents) -> list[Material]:
     found = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
     for layer in detector.cgem:
         found += [layer.gas, *(part.material for part in (*layer.cathode, *layer.foil, *layer.anode))]
+    for sensor in detector.layer:
+        found += [sensor.material, *(part.material for part in sensor.support)]
     if detector.drift_chamber:
         found += [detector.drift_chamber.gas, detector.drift_chamber.wire_material]
     return found
@@ -319,7 +347,8 @@ def _top(complete: bool) -> dict[str, Any]:
     kinds: dict[str, dict[str, Any]] = {
         "field": _field(complete),
         "beam_pipe": _labelled(_schema_table(Cylinder, complete)),
-        "cgem": _labelled(_layer(complete)),
+        "cgem": _labelled(_layer(CgemLayer, complete)),
+        "layer": _labelled(_layer(MeasurementLayer, complete)),
         "walls": _labelled(_schema_table(Cylinder, complete)),
         "drift_chamber": _chamber(complete),
         "background": _labelled(_schema_table(BackgroundLevel, complete=False)),
@@ -332,7 +361,7 @@ def _top(complete: bool) -> dict[str, Any]:
     }
     found = {"type": "object", "properties": properties, "additionalProperties": False}
     if complete:
-        found |= {"required": ["field"], "anyOf": [{"required": ["cgem"]}, {"required": ["drift_chamber"]}]}
+        found |= {"required": ["field"], "anyOf": [{"required": [one]} for one in ("cgem", "layer", "drift_chamber")]}
     return found
 
 
@@ -359,18 +388,18 @@ def _labelled(table: dict[str, Any]) -> dict[str, Any]:
 _LIKE = "label of the layer that this one is a copy of"
 
 
-def _layer(complete: bool) -> dict[str, Any]:
-    """Return a CGEM layer: a copy of another one states what differs, and sub-layers of its stacks by label."""
-    partial = _schema_table(CgemLayer, complete=False, more={"like": {"type": "string", "description": _LIKE}})
+def _layer(kind: type, complete: bool) -> dict[str, Any]:
+    """Return a layer: a copy of another one states what differs, and sub-layers of its stacks by label."""
+    partial = _schema_table(kind, complete=False, more={"like": {"type": "string", "description": _LIKE}})
     rows = _labelled(_schema_table(SubLayer, complete=False))
-    for name, one in keys_of(CgemLayer).items():
+    for name, one in keys_of(kind).items():
         if one.kind == "stack":
             whole = partial["properties"][name]
             about = {"description": whole.pop("description")}
             partial["properties"][name] = about | {"if": {"type": "object"}, "then": rows, "else": whole}
     if not complete:
         return partial
-    return {"if": {"required": ["like"]}, "then": partial, "else": _schema_table(CgemLayer, complete=True)}
+    return {"if": {"required": ["like"]}, "then": partial, "else": _schema_table(kind, complete=True)}
 
 
 def _schema_table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) -> dict[str, Any]:

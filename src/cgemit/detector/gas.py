@@ -22,7 +22,7 @@ from cgemit.base.errors import Problems, refuse
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, Shell
+from cgemit.detector.parts import CgemLayer, Contents, Layer, Shell
 
 Floats = NDArray[np.float64]
 
@@ -231,15 +231,18 @@ def cluster_shares(name: str) -> ClusterShares:
 
 
 @once
-def most_lost(layer: CgemLayer, least: int) -> float:
-    """Return the probability that a minimum ionizing particle straight across a gap has too few electrons.
+def most_lost(layer: Layer, least: int) -> float:
+    """Return the probability that a minimum ionizing particle straight across a layer has no clusters.
 
     Parameters
     ----------
-    layer : CgemLayer
+    layer : CgemLayer or MeasurementLayer
+        In a CGEM layer they need electrons.
     least : int
         See `enough_electrons`.
     """
+    if not isinstance(layer, CgemLayer):
+        return 1 - layer.efficiency
     ionizations = np.array(_fewest_per_mm(layer.gas) * layer.drift_gap)
     return 1 - float(enough_electrons(layer.gas, ionizations, least))
 
@@ -259,8 +262,10 @@ def ionization_of(gas: Material) -> Ionization:
 
 
 def w_values(detector: Contents) -> Floats:
-    """Return the mean energy per electron of ionization in each CGEM layer's gas, (layers,), keV."""
-    return np.array([ionization_of(layer.gas).w_value for layer in detector.cgem], np.float64)
+    """Return the mean energy per electron of ionization in the gas of each layer, (layers,), keV; 1 without gas."""
+    return np.array(
+        [ionization_of(layer.gas).w_value if isinstance(layer, CgemLayer) else 1.0 for layer in detector.layers]
+    )
 
 
 def _ratio(gas: Material, table: Ionization) -> float:
@@ -437,8 +442,8 @@ def gap_columns(layer: CgemLayer) -> dict[str, Any]:
 
 
 def gap_table(detector: Contents) -> list[dict[str, Any]]:
-    """Return the gaps of a detector, one per CGEM layer, as the core takes them."""
-    return [gap_columns(layer) for layer in detector.cgem]
+    """Return the gaps of a detector, one per layer, as the core takes them; an empty one without gas."""
+    return [gap_columns(layer) if isinstance(layer, CgemLayer) else {} for layer in detector.layers]
 
 
 #: Largest magnetic field of the tables, T: the line through 0 and 1 T is continued that far.

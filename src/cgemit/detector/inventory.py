@@ -68,29 +68,29 @@ def _smooth_channels(layer: CgemLayer) -> float:
 
 
 def area(detector: Detector) -> float:
-    """Return the read-out area of all CGEM layers, m2."""
-    return sum(2 * math.pi * layer.r_readout * layer.length for layer in detector.cgem) / 1e6
+    """Return the area of all layers that measure, m2."""
+    return sum(2 * math.pi * layer.r_readout * layer.length for layer in detector.layers) / 1e6
 
 
 def radiation_lengths(detector: Detector) -> float:
-    """Return X/X0 of all CGEM layers at normal incidence, %."""
-    return 100 * sum(shell.x0 for layer in detector.cgem for shell in layer.shells())
+    """Return X/X0 of all layers that measure at normal incidence, %."""
+    return 100 * sum(shell.x0 for layer in detector.layers for shell in layer.shells())
 
 
 def outer_radius(detector: Detector) -> float:
-    """Return the radius within which all CGEM layers lie, mm."""
-    return max(layer.r_out for layer in detector.cgem)
+    """Return the radius within which all layers that measure lie, mm."""
+    return max(layer.r_out for layer in detector.layers)
 
 
 def inner_radius(detector: Detector) -> float:
-    """Return the radius outside of which all CGEM layers lie, mm."""
-    return min(layer.r_in for layer in detector.cgem)
+    """Return the radius outside of which all layers that measure lie, mm."""
+    return min(layer.r_in for layer in detector.layers)
 
 
 def gaps(detector: Detector) -> list[float]:
-    """Return the free space inside and outside each CGEM layer up to the next part, mm, from inside outward."""
+    """Return the free space inside and outside each measuring layer up to the next part, mm, from inside outward."""
     spans = [(part.r_in, part.r_out, False) for part in (*detector.beam_pipe, *detector.walls)]
-    spans += [(layer.r_in, layer.r_out, True) for layer in detector.cgem]
+    spans += [(layer.r_in, layer.r_out, True) for layer in detector.layers]
     if detector.drift_chamber:
         first = detector.drift_chamber.layers[0]
         spans.append((first.r_mid, first.r_end, False))
@@ -99,13 +99,13 @@ def gaps(detector: Detector) -> list[float]:
 
 
 def smallest_gap(detector: Detector) -> float:
-    """Return the smallest free space inside or outside a CGEM layer, mm."""
+    """Return the smallest free space inside or outside a layer that measures, mm."""
     return min(gaps(detector), default=math.inf)
 
 
 def pt_threshold(detector: Detector) -> float:
-    """Return the pT in MeV/c whose circle through the beam line just reaches the outermost CGEM layer."""
-    radius = max(layer.r_mid for layer in detector.cgem)
+    """Return the pT in MeV/c whose circle through the beam line just reaches the outermost layer that measures."""
+    radius = max(layer.r_mid for layer in detector.layers)
     return 1000 * _GEV_PER_T_MM * abs(detector.field.bz) * 0.5 * radius
 
 

@@ -17,7 +17,7 @@ from cgemit import _core
 from cgemit.detector.check import TOUCH
 from cgemit.detector.keys import once
 from cgemit.detector.material import Element, Material
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, Shell
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, MeasurementLayer, Shell
 
 #: Numbers of a slab, in the order of `Row.numbers`: mm, but `x0` dimensionless and `xi` in GeV.
 NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
@@ -246,9 +246,14 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
     """
     solid = [*_cylinders("pipe", detector.beam_pipe, merge), *_cylinders("wall", detector.walls, merge)]
     foils = 0
-    for number, layer in enumerate(detector.cgem):
-        solid += _layer(layer, number, foils, merge, foil == "lattice")
-        foils += layer.foils
+    for number, layer in enumerate(detector.layers):
+        if isinstance(layer, CgemLayer):
+            solid += _layer(layer, number, foils, merge, foil == "lattice")
+            foils += layer.foils
+        else:
+            solid += _sensor(layer, number, merge)
+    for layer in detector.layer:
+        solid += () if layer.views else _sensor(layer, -1, merge)
     solid.sort(key=lambda slab: slab.r_in)
     return sorted(solid + _fillers(detector, solid, merge), key=lambda slab: slab.r_in)
 
@@ -284,6 +289,16 @@ def _same_matter(matter: _Matter, number: int, first_foil: int, merge: bool, lat
             gap = number if group == "drift" else -1
             found += [Slab(part, gap) for part in ([shells] if merge else [(shell,) for shell in shells])]
     return tuple(found)
+
+
+@once
+def _sensor(layer: MeasurementLayer, number: int, merge: bool) -> tuple[Slab, ...]:
+    """Return the slabs of a measurement layer: the sensor, where the track is measured, and the support behind it."""
+    sensor, *support = layer.stacks()
+    return (
+        Slab(sensor, number),
+        *(Slab(part) for part in (support if merge else [(one,) for run in support for one in run])),
+    )
 
 
 @lru_cache(maxsize=256)

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
-from typing import NamedTuple, SupportsIndex, TypeVar, overload
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, SupportsIndex, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.errors import did_you_mean
 from cgemit.detector.field import Field
-from cgemit.detector.keys import Part, key
+from cgemit.detector.keys import Part, key, once
 from cgemit.detector.material import Material
 
 Floats = npt.NDArray[np.float64]
@@ -240,8 +240,76 @@ class SubLayer(Part):
 StripRanges = tuple[tuple[int, int, int], ...]
 
 
+class MeasuringCylinder(Placed):
+    """What the layers that measure have in common: a read-out surface with views X and V, and the matter around it.
+
+    A layer of either kind also has `label`, `r_readout`, `r_gap_in` and `r_gap_out` (where a crossing begins and ends),
+    `r_in`, `r_out`, `stacks`, `sheets`, `phi_first`, `stereo`, `strips_x`, `strips_v`, `offset_v`.
+    """
+
+    if TYPE_CHECKING:
+
+        @property
+        def length(self) -> float:
+            """Active length along the beam, mm."""
+
+        @property
+        def phi_first(self) -> float:
+            """Azimuth of X = 0 of the first sheet, rad."""
+
+        @property
+        def sheets(self) -> int:
+            """Read-out sheets around the layer."""
+
+        @property
+        def stereo(self) -> float:
+            """Stereo angle of the V strips, rad."""
+
+        @property
+        def r_gap_in(self) -> float:
+            """Radius where a crossing begins, mm."""
+
+        @property
+        def r_gap_out(self) -> float:
+            """Radius where a crossing ends, mm."""
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Coordinates that are measured."""
+        return ("X", "V")
+
+    @property
+    def half_length(self) -> float:
+        """Half of the active length, mm."""
+        return 0.5 * self.length
+
+    @property
+    def z_ref(self) -> float:
+        """The end from which V is counted, mm."""
+        return math.copysign(self.half_length, self.stereo)
+
+    @property
+    def sheet_phi(self) -> tuple[float, ...]:
+        """Azimuth of X = 0 of each sheet, rad in (-pi, pi]."""
+        turns = (self.phi_first + 2 * math.pi * i / self.sheets for i in range(self.sheets))
+        return tuple(math.pi - (math.pi - phi) % (2 * math.pi) for phi in turns)
+
+    @property
+    def r_mid(self) -> float:
+        """Radius of the middle of the crossing, where hits are, mm."""
+        return 0.5 * (self.r_gap_in + self.r_gap_out)
+
+    def stacks(self) -> tuple[tuple[Shell, ...], ...]:
+        """Return the sub-layers from inside in groups that act as one scatterer each."""
+        raise NotImplementedError
+
+    def shells(self) -> Iterator[Shell]:
+        """Yield every sub-layer, gaps included, from inside."""
+        return chain.from_iterable(self.stacks())
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
-class CgemLayer(Placed):
+class CgemLayer(MeasuringCylinder):
     """One cylindrical GEM layer with X and V strips; everything is placed from the V-strip plane inward and outward.
 
     From inside: cathode, drift gap, first foil, transfer gap, ..., last foil, induction gap, anode.
@@ -320,25 +388,9 @@ class CgemLayer(Placed):
         )
 
     @property
-    def half_length(self) -> float:
-        """Half of the active length, mm."""
-        return 0.5 * self.length
-
-    @property
     def r_readout(self) -> float:
         """Radius R of X = R (phi - phi_first), mm."""
         return self.anode_radius + self.readout_offset
-
-    @property
-    def z_ref(self) -> float:
-        """The end from which V is counted, mm."""
-        return math.copysign(self.half_length, self.stereo)
-
-    @property
-    def sheet_phi(self) -> tuple[float, ...]:
-        """Azimuth of X = 0 of each sheet, rad in (-pi, pi]."""
-        turns = (self.phi_first + 2 * math.pi * i / self.sheets for i in range(self.sheets))
-        return tuple(math.pi - (math.pi - phi) % (2 * math.pi) for phi in turns)
 
     @cached_property
     def r_gap_out(self) -> float:
@@ -351,11 +403,6 @@ class CgemLayer(Placed):
         """Inner radius of the drift gap, the outer face of the cathode, mm."""
         return self.r_gap_out - self.drift_gap
 
-    @property
-    def r_mid(self) -> float:
-        """Radius of the middle of the drift gap, mm."""
-        return 0.5 * (self.r_gap_in + self.r_gap_out)
-
     @cached_property
     def r_in(self) -> float:
         """Inner face of the cathode, mm."""
@@ -365,10 +412,6 @@ class CgemLayer(Placed):
     def r_out(self) -> float:
         """Outer face of the anode, mm."""
         return self.anode_radius + sum(part.thickness for part in self.anode)
-
-    def shells(self) -> Iterator[Shell]:
-        """Yield every sub-layer, gaps included, from inside."""
-        return chain.from_iterable(self.stacks())
 
     def stacks(self) -> tuple[tuple[Shell, ...], ...]:
         """Return the sub-layers, gaps included, from inside: cathode, drift gap, foils and gaps behind them, anode."""
@@ -393,6 +436,147 @@ class CgemLayer(Placed):
                 shells.append(make(Shell, (group, label, r_in, radius, half_length, material)))
             found.append(tuple(shells))
         return tuple(shells for shells in found if shells)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MeasurementLayer(MeasuringCylinder):
+    """A cylinder that measures positions: a silicon barrel, a strip layer of any technology, a wrapper.
+
+    X is r phi. V is z with the default `stereo` of 90 degrees, else the coordinate across strips at that angle to the
+    beam. A coordinate is measured if its `sigma` or its `pitch` is given. With a sigma, positions have Gaussian errors
+    of this width; with a pitch alone they are middles of strips, and their error is pitch/sqrt(12). A layer that
+    measures nothing is matter only.
+
+    Examples
+    --------
+    >>> silicon = {"radius": "30 mm", "sigma": "5 um", "material": "Si", "thickness": "0.1 mm"}
+    >>> det = cg.load({"base": "besiii-idc", "name": "pixel", "layer": {"VTX": silicon}})
+    >>> layer = det.layer["VTX"]
+    >>> layer.views, layer.sigma_v, layer.length
+    (('X', 'V'), 0.005, 150.0)
+    """
+
+    label: str
+    radius: float = field(metadata=key("length", "radius of the middle of the sensor", 5.0, 3000.0))
+    length: float = field(
+        metadata=key("length", "active length along the beam (default: 5 radii)", 10.0, 5000.0, derived=True)
+    )
+    material: Material = field(metadata=key("material", "material of the sensor"))
+    thickness: float = field(metadata=key("length", "thickness of the sensor", 1e-3, 50.0, derived=True))
+    support: tuple[SubLayer, ...] = field(metadata=key("stack", "matter behind the sensor, from inside"), default=())
+    sigma_x: float = field(metadata=key("length", "error of X = r phi; 0: see pitch_x", 0.0, 100.0), default=0.0)
+    sigma_v: float = field(metadata=key("length", "error of V; 0: see pitch_v", 0.0, 1000.0), default=0.0)
+    pitch_x: float = field(metadata=key("length", "pitch of the X strips; 0: none", 0.0, 100.0), default=0.0)
+    pitch_v: float = field(metadata=key("length", "pitch of the V strips; 0: none", 0.0, 1000.0), default=0.0)
+    stereo: float = field(
+        metadata=key("angle", "angle of the V strips to the beam, signed; 90 deg: V is z", -math.pi / 2, math.pi / 2),
+        default=math.pi / 2,
+    )
+    efficiency: float = field(metadata=key("dimensionless", "probability of a hit", 0.0, 1.0), default=1.0)
+    sigma_time: float = field(metadata=key("time", "error of the time of a hit", 0.0, 1e6), default=0.0)
+
+    # One sheet around the beam, as a CGEM layer without seams, dead and hot strips.
+    sheets: ClassVar[int] = 1
+    phi_first: ClassVar[float] = math.pi
+    offset_v: ClassVar[float] = 0.0
+    dead_seam: ClassVar[float] = 0.0
+    dead_ends: ClassVar[float] = 0.0
+    lorentz_shift: ClassVar[None] = None
+    dead_x: ClassVar[StripRanges] = ()
+    dead_v: ClassVar[StripRanges] = ()
+    hot_x: ClassVar[StripRanges] = ()
+    hot_v: ClassVar[StripRanges] = ()
+    gain_map: ClassVar[tuple[()]] = ()
+
+    def __repr__(self) -> str:
+        return f"<layer {self.label}: {self.text()}>"
+
+    def _repr_html_(self) -> str:
+        return f"<b>layer {escape(self.label)}</b> {escape(self.text())}"
+
+    def text(self) -> str:
+        """Return the layer in one line."""
+        errors = dict(zip("XV", self.errors, strict=True))
+        names = {"X": "r phi", "V": "z" if self.measures_z else f"V at {math.degrees(self.stereo):+.2f} deg"}
+        measured = ", ".join(f"{names[view]} to {1000 * errors[view]:.4g} um" for view in self.views)
+        x0 = 100 * sum(shell.x0 for shell in self.shells())
+        return (
+            f"r = {self.radius:g} mm, length {self.length:g} mm, {x0:.3g} % X0 of {self.material.name}, "
+            f"{measured or 'measures nothing'}{self.moved_text()}"
+        )
+
+    @property
+    def measures_z(self) -> bool:
+        """Whether V is z."""
+        return abs(abs(self.stereo) - math.pi / 2) < 1e-9
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Coordinates that are measured: X (r phi), V, both or none."""
+        return tuple(view for view, error in zip("XV", self.errors, strict=True) if error > 0)
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Errors of X and V, mm; 0 where it is not measured."""
+        pitches = (self.pitch_x, self.pitch_v)
+        return tuple(
+            sigma or pitch / math.sqrt(12) for sigma, pitch in zip((self.sigma_x, self.sigma_v), pitches, strict=True)
+        )  # type: ignore[return-value]
+
+    @property
+    def r_readout(self) -> float:
+        """Radius R of X = R (phi - phi_first), mm."""
+        return self.radius
+
+    @property
+    def r_gap_in(self) -> float:
+        """Inner face of the sensor, mm."""
+        return self.radius - 0.5 * self.thickness
+
+    @property
+    def r_gap_out(self) -> float:
+        """Outer face of the sensor, mm."""
+        return self.radius + 0.5 * self.thickness
+
+    @property
+    def r_in(self) -> float:
+        """Inner face, mm."""
+        return self.r_gap_in
+
+    @property
+    def r_out(self) -> float:
+        """Outer face, support included, mm."""
+        return self.r_gap_out + sum(part.thickness for part in self.support)
+
+    @property
+    def strips_x(self) -> int:
+        """X strips, of which a whole number is around the beam."""
+        return max(1, round(2 * math.pi * self.radius / self.pitch_x)) if self.pitch_x else 1
+
+    @property
+    def strips_v(self) -> int:
+        """V strips."""
+        return max(1, math.ceil(self.extent_v / self.pitch_v - 1e-9)) if self.pitch_v else 1
+
+    @property
+    def extent_v(self) -> float:
+        """Largest V, mm."""
+        return 2 * math.pi * self.radius * math.cos(self.stereo) + self.length * math.sin(abs(self.stereo))
+
+    def stacks(self) -> tuple[tuple[Shell, ...], ...]:
+        """Return the sensor, and the support behind it."""
+        sensor = Shell("sensor", self.material.name, self.r_gap_in, self.r_gap_out, self.half_length, self.material)
+        radius, support = sensor.r_out, []
+        for part in self.support:
+            r_in, radius = radius, radius + part.thickness
+            support.append(Shell("support", part.label, r_in, radius, self.half_length, part.material))
+        return ((sensor,), tuple(support)) if support else ((sensor,),)
+
+
+Layer = CgemLayer | MeasurementLayer
+
+#: Keys of parts that are stacks of materials.
+STACKS: dict[type, tuple[str, ...]] = {CgemLayer: ("cathode", "foil", "anode"), MeasurementLayer: ("support",)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -508,7 +692,7 @@ class DriftChamber(Placed):
         return tuple(accumulate((layer.cells for layer in self.layers[:-1]), initial=self.first_gid))
 
 
-L = TypeVar("L", bound=Cylinder | CgemLayer)
+L = TypeVar("L", bound=Cylinder | CgemLayer | MeasurementLayer, covariant=True)
 
 
 class Labelled(tuple[L, ...]):
@@ -554,19 +738,58 @@ class Contents(Part):
     field: Field
     beam_pipe: Labelled[Cylinder]
     cgem: Labelled[CgemLayer]
+    layer: Labelled[MeasurementLayer]
     walls: Labelled[Cylinder]
     drift_chamber: DriftChamber | None
     background: tuple[BackgroundLevel, ...] = ()  # by label
     air: Material  # fills the space between parts inside the drift chamber
 
     def __post_init__(self) -> None:
-        for name in ("beam_pipe", "cgem", "walls"):
+        for name in ("beam_pipe", "cgem", "layer", "walls"):
             object.__setattr__(self, name, Labelled(getattr(self, name)))
 
+    @property
+    def layers(self) -> Labelled[Layer]:
+        """The cylinders that measure, CGEM layers and others, by radius; tables number them from 0."""
+        return layers_of(self)
 
-def local_v(layer: CgemLayer, x: Floats | float, z: Floats | float) -> Floats:
+
+D = TypeVar("D", bound=Contents)
+
+
+@once
+def layers_of(detector: Contents) -> Labelled[Layer]:
+    """Return the cylinders that measure, by radius.
+
+    Parameters
+    ----------
+    detector : Contents
+    """
+    others = [layer for layer in detector.layer if layer.views]
+    return Labelled(sorted([*detector.cgem, *others], key=lambda layer: layer.r_mid)) if others else detector.cgem
+
+
+@once
+def without_layers(detector: D) -> D:
+    """Return the detector with CGEM layers alone, as read-outs with strips see it; itself if it has no others.
+
+    Parameters
+    ----------
+    detector : Contents
+    """
+    return replace(detector, layer=Labelled()) if detector.layer else detector
+
+
+def local_v(layer: Layer, x: Floats | float, z: Floats | float) -> Floats:
     """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
     return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
+
+
+def pitches(layer: Layer) -> tuple[float, float]:
+    """Return the pitches of X and V strips, mm; of positions that no strip measures the width of the layer."""
+    if isinstance(layer, CgemLayer):
+        return layer.pitch_x, layer.pitch_v
+    return 2 * math.pi * layer.radius / layer.strips_x, layer.pitch_v or layer.extent_v
 
 
 def strips_of_v(layer: CgemLayer, v: Floats | float) -> Floats:
@@ -579,7 +802,7 @@ def v_of_strips(layer: CgemLayer, strips: Floats | float) -> Floats:
     return np.asarray(np.add(strips, layer.offset_v) * layer.pitch_v)
 
 
-def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats:
+def crossing_z(layer: Layer, x: Floats | float, v: Floats | float) -> Floats:
     """Return z, (n,) float64 mm, at which lines of constant V meet those of constant X, (n,) float64 mm."""
     return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / np.sin(layer.stereo))
 
@@ -587,8 +810,9 @@ def crossing_z(layer: CgemLayer, x: Floats | float, v: Floats | float) -> Floats
 def extent(detector: Contents) -> tuple[float, float]:
     """Return the outermost radius and |z| of a detector's parts, mm."""
     cylinders = [*detector.beam_pipe, *detector.walls]
-    radii = [part.r_out for part in cylinders] + [layer.r_out for layer in detector.cgem]
-    lengths = [part.half_length for part in cylinders] + [layer.half_length for layer in detector.cgem]
+    measuring: list[Layer] = [*detector.cgem, *detector.layer]
+    radii = [part.r_out for part in cylinders] + [layer.r_out for layer in measuring]
+    lengths = [part.half_length for part in cylinders] + [layer.half_length for layer in measuring]
     for wire in detector.drift_chamber.layers if detector.drift_chamber else ():
         radii.append(wire.r_end)
         lengths.append(wire.half_length)

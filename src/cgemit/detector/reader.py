@@ -14,7 +14,7 @@ from cgemit.base.errors import Problem, Problems, did_you_mean, joined, shown
 from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import CgemLayer, RatePoint, SubLayer
+from cgemit.detector.parts import CgemLayer, MeasurementLayer, RatePoint, SubLayer
 from cgemit.units import NATIVE
 
 #: Sheet and strips of a list of strips.
@@ -50,6 +50,7 @@ TOP_LEVEL = {
     "field": "magnetic field",
     "beam_pipe": "cylinders of the beam pipe by label",
     "cgem": "CGEM layers by label",
+    "layer": "other layers that measure positions, by label",
     "walls": "further cylinders by label",
     "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, signal_speed, readout_end hold for "
     "layers without their own",
@@ -71,6 +72,11 @@ WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
 #: Keys that a file may hold beside those of the dataclass.
 EXTRA: dict[type, dict[str, Key]] = {
     CgemLayer: {"stereo_sign": Key("sign", doc="sign of the stereo angle where the angle itself is left out")},
+    MeasurementLayer: {
+        "sigma": Key("length", 1e-4, 100.0, doc="error of both coordinates, for sigma_x and sigma_v"),
+        "pitch": Key("length", 1e-3, 100.0, doc="pitch of both coordinates, for pitch_x and pitch_v"),
+        "x0": Key("dimensionless", 1e-7, 0.5, doc="thickness of the sensor in radiation lengths, for thickness"),
+    },
     Material: {"base": Key("text", doc="the material that this one is, at another density")},
     SubLayer: {
         "label": Key("text", doc="label of the sub-layer; the material's name if left out"),
@@ -358,16 +364,19 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
     """Return `base` with the tables of `variant` laid over it; what `variant["remove"]` names is taken out first.
 
     The base may hold parts that were read before (`describe.tables_of`); those that the variant does not change are
-    the same objects in the result. CGEM layers with the key `like` are copies of other layers with some values changed.
+    the same objects in the result. Layers with the key `like` are copies of other layers with some values changed.
     """
-    copies = {label: layer for label, layer in _tables(variant, "cgem").items() if _has_like(layer)}
-    if copies:
-        variant = {**variant, "cgem": {k: v for k, v in variant["cgem"].items() if k not in copies}}
+    copies: dict[str, dict[str, Any]] = {}
+    for group in _DROPS:
+        copies[group] = {label: layer for label, layer in _tables(variant, group).items() if _has_like(layer)}
+        if copies[group]:
+            variant = {**variant, group: {k: v for k, v in variant[group].items() if k not in copies[group]}}
     result: dict[str, Any] = _copied(base, open_parts="materials" in variant)
     _remove(result, variant.get("remove", []), problems)
-    for label, layer in _tables(variant, "cgem").items():
-        if isinstance(layer, Mapping):
-            _drop_derived(_open(_tables(result, "cgem"), label), layer)
+    for group, drop in _DROPS.items():
+        for label, layer in _tables(variant, group).items():
+            if isinstance(layer, Mapping):
+                drop(_open(_tables(result, group), label), layer)
     _drop_field(result, _tables(variant, "field"))
     chamber = variant.get("drift_chamber")
     if isinstance(chamber, Mapping):
@@ -377,8 +386,9 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
                 for old in FOR_ALL_LAYERS[name]:
                     layer.pop(old, None)
     _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
-    for label, layer in copies.items():
-        _copy_layer(result.setdefault("cgem", {}), label, layer, problems)
+    for group, layers in copies.items():
+        for label, layer in layers.items():
+            _copy_layer(result.setdefault(group, {}), group, label, layer, problems)
     return result
 
 
@@ -400,17 +410,19 @@ def _has_like(layer: object) -> bool:
     return isinstance(layer, Mapping) and "like" in layer
 
 
-def _copy_layer(layers: dict[str, Any], label: str, changes: Mapping[str, Any], problems: list[Problem]) -> None:
-    """Add a CGEM layer that is a copy of another one with some values changed; those derived from them are left out."""
+def _copy_layer(
+    layers: dict[str, Any], group: str, label: str, changes: Mapping[str, Any], problems: list[Problem]
+) -> None:
+    """Add a layer that is a copy of another one with some values changed; those derived from them are left out."""
     like = changes["like"]
     if not isinstance(like, str) or like not in layers:
         given = f'"{like}"' if isinstance(like, str) else repr(like)
         expected = "the label of another layer: " + ", ".join(layers)
-        problems.append(Problem(f"cgem.{label}.like", given, expected, did_you_mean(like, layers)))
+        problems.append(Problem(f"{group}.{label}.like", given, expected, did_you_mean(like, layers)))
         return
     layer = _copied(opened(layers[like]))
     own = {name: value for name, value in changes.items() if name != "like"}
-    _drop_derived(layer, own)
+    _DROPS[group](layer, own)
     _lay_over(layer, own, label)
     layers[label] = layer
 
@@ -447,6 +459,34 @@ def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
                 base["stereo_sign"] = -1 if str(old).lstrip().startswith("-") else 1
             if name == "offset_v" and old:
                 base["offset_v"] = CENTRED  # strips that were moved off the corner stay on the sheet
+
+
+#: Values of a measurement layer that a value of a variant replaces.
+_REPLACED = {
+    "sigma": ("sigma_x", "sigma_v"),
+    "pitch": ("sigma_x", "sigma_v", "pitch_x", "pitch_v"),
+    "pitch_x": ("sigma_x",),
+    "pitch_v": ("sigma_v",),
+    "x0": ("thickness",),
+    "thickness": ("x0",),
+}
+
+
+def _drop_replaced(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Remove what the values of a variant replace; ``sigma`` and ``pitch`` of a base stand for both coordinates."""
+    for both in ("sigma", "pitch"):
+        if both in base and any(f"{one}_{view}" in variant for one in ("sigma", "pitch") for view in "xv"):
+            base |= dict.fromkeys((f"{both}_x", f"{both}_v"), base.pop(both))
+    for name in _REPLACED.keys() & variant.keys():
+        for old in _REPLACED[name]:
+            base.pop(old, None)
+    if "sigma" in variant or "pitch" in variant:
+        for both in ("sigma", "pitch"):
+            base.pop(both, None)
+
+
+#: What of a layer of the base goes where a variant changes it, by group.
+_DROPS = {"cgem": _drop_derived, "layer": _drop_replaced}
 
 
 def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.detector.keys import Key, Known, Part, keys_of, once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, SubLayer
+from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, MeasurementLayer, SubLayer
 from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
 from cgemit.units import NATIVE
 
@@ -137,7 +137,7 @@ def _is_pattern(text: str) -> bool:
 def _root(detector: Contents) -> dict[str, Any]:
     groups = {
         name: {part.label: part for part in getattr(detector, name)}
-        for name in ("beam_pipe", "cgem", "walls", "background")
+        for name in ("beam_pipe", "cgem", "layer", "walls", "background")
     }
     return {"field": detector.field, "drift_chamber": detector.drift_chamber, **groups}
 
@@ -166,6 +166,8 @@ def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
     node: Any = _root(detector)
     for name in parents:
         node = _children(node).get(name)
+    if isinstance(node, MeasurementLayer) and last == "x0":
+        return node.thickness / node.material.x0, EXTRA[MeasurementLayer]["x0"]
     kind: Any = type(node)
     keys = keys_of(kind) if dataclasses.is_dataclass(node) else {}
     return (getattr(node, last), keys[last]) if last in keys else None
@@ -178,17 +180,22 @@ def values_at(detector: Contents, keys: str, problems: list[Problem]) -> list[tu
     ----------
     detector : Contents
     keys : str
-        Dotted keys or patterns, separated by commas; one of the drift chamber may stand for all of its layers.
+        Dotted keys or patterns, separated by commas; one of the drift chamber may stand for all of its layers, and
+        `sigma` or `pitch` of a measurement layer for both coordinates.
     problems : list of Problem
         Receives every pattern that matches nothing.
     """
     paths = [path for key in keys.split(",") for path in matching(detector, key.strip(), problems)]
-    return [value_at(detector, one) for path in paths for one in _of_layers(detector, path) or [path]]
+    return [value_at(detector, one) for path in paths for one in _several(detector, path) or [path]]
 
 
-def _of_layers(detector: Contents, path: str) -> list[str]:
-    """Return the keys of the wire layers for which a key of the drift chamber stands; none for another key."""
+def _several(detector: Contents, path: str) -> list[str]:
+    """Return the keys for which a key of the drift chamber or of a measurement layer stands; none for another key."""
     group, _, name = path.rpartition(".")
+    if name in ("sigma", "pitch") and group.startswith("layer."):
+        both = [f"{path}_{view}" for view in "xv"]
+        found = [value_at(detector, one) for one in both]
+        return [one for one, value in zip(both, found, strict=True) if value and value[0] > 0] if all(found) else []
     if group != "drift_chamber" or name not in FOR_ALL_LAYERS or detector.drift_chamber is None:
         return []
     return [f"drift_chamber.layers.{layer.number}.{name}" for layer in detector.drift_chamber.layers]
@@ -199,7 +206,7 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
     factor = factor_of(value)
     if factor is None:
         return {path: value}
-    if layers := _of_layers(detector, path):
+    if layers := _several(detector, path):
         return {one: new for layer in layers for one, new in _absolute(detector, layer, value, problems).items()}
     now = value_at(detector, path)
     if now is None:
@@ -269,7 +276,7 @@ def _short(value: object) -> str:
 def content_hash(detector: Contents) -> str:
     """Return 16 hexadecimal digits that name the content of a detector, whatever its name and description are."""
     chamber = detector.drift_chamber
-    parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.walls, detector.air]
+    parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.layer, *detector.walls, detector.air]
     digests = [*map(_digest, parts), *([_digest_of_all(chamber)] if chamber else [])]
     digests += map(_digest, detector.background)
     return hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16]

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
-from cgemit.detector.parts import crossing_z, local_v, strips_of_v, v_of_strips
+from cgemit.detector.parts import CgemLayer, crossing_z, local_v, strips_of_v, v_of_strips
 from cgemit.draw.event import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, statistics_box, style
 
@@ -65,8 +65,11 @@ def crossing(result: Result, event: int, layer: int) -> Crossing:
         table.select_events(event, event + 1) for table in (result.truths, result.digis, result.clusters)
     )
     pairs = np.flatnonzero((clusters["layer"] == layer) & (clusters["view"] == 2))
+    part = result.detector.layers[layer] if 0 <= layer < len(result.detector.layers) else None
+    if part is not None and not isinstance(part, CgemLayer):
+        raise ValueError(f"layer {layer}, {part.label}, has no strips: its clusters are positions")
     rows = np.flatnonzero(truths["layer"] == layer)
-    if not len(pairs) or not len(rows):
+    if part is None or not len(pairs) or not len(rows):
         raise ValueError(f"event {event} has no XV cluster in layer {layer}")
     row, pair = rows[0], pairs[0]
     x, y, z = (np.array([truths[f"{end}_{axis}"][row] for end in ("entry", "exit")]) for axis in "xyz")
@@ -75,7 +78,7 @@ def crossing(result: Result, event: int, layer: int) -> Crossing:
     sheet = int(clusters["sheet"][pair])
     fired = (digis["layer"] == layer) & (digis["sheet"] == sheet) & (digis["strip"] >= 0)
     return Crossing(
-        result.detector.cgem[layer],
+        result.detector.cgem[part.label],
         np.array([np.hypot(x[0], y[0]), truths["r"][row], np.hypot(x[1], y[1])]),
         np.array([phi[0], middle, phi[1]]),
         np.array([z[0], truths["z"][row], z[1]]),

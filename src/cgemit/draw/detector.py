@@ -20,6 +20,7 @@ _PARTS = {
     "wall": "#55606C",
     "CGEM electrodes and gaps": "#AEB9C6",
     "CGEM drift gap": "#8FC8EC",
+    "layer": "#009E73",
 }
 _AXIAL, _POSITIVE, _NEGATIVE = "axial wires", "stereo wires, twist > 0", "stereo wires, twist < 0"
 _WIRES = {_AXIAL: "#8A8A8A", _POSITIVE: "#D55E00", _NEGATIVE: "#0072B2"}
@@ -157,9 +158,9 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
             ax.add_patch(Rectangle(corner, *size, facecolor=color, edgecolor=color, linewidth=0.5))
         for layer in layers:
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
-        heights = [cgem.r_mid for cgem in detector.cgem]
+        heights = [cgem.r_mid for cgem in detector.layers]
         room = min(np.diff(heights), default=edge) > _LABEL * edge
-        for cgem in detector.cgem if room else ():
+        for cgem in detector.layers if room else ():
             place = (cgem.half_length + 0.008 * reach, cgem.r_mid)
             ax.annotate(plain(cgem.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
         _polar_angles(ax, edge, reach)
@@ -217,6 +218,8 @@ def _rings(detector: Detector) -> Iterator[_Ring]:
     for layer in detector.cgem:
         yield _Ring("CGEM electrodes and gaps", layer.r_in, layer.r_out, layer.half_length)
         yield _Ring("CGEM drift gap", layer.r_gap_in, layer.r_gap_out, layer.half_length)
+    for sensor in detector.layer:
+        yield _Ring("layer", sensor.r_in, sensor.r_out, sensor.half_length)
 
 
 def _kind(layer: WireLayer) -> str:
@@ -231,7 +234,7 @@ def _outer_edge(detector: Detector) -> float:
 def _inner_edge(detector: Detector) -> float:
     """Return the radius of a view of the part inside the outer drift chamber, mm."""
     rings = 1.2 * max([ring.r_out for ring in _rings(detector)], default=0.0)
-    return min(rings if detector.cgem else max(rings, 0.28 * _outer_edge(detector)), _outer_edge(detector))
+    return min(rings if detector.layers else max(rings, 0.28 * _outer_edge(detector)), _outer_edge(detector))
 
 
 def _wires_xy(ax: Axes, detector: Detector, edge: float) -> set[str]:

@@ -15,6 +15,8 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Rectangle, Wedge
 
 from cgemit.base.files import new_file
+from cgemit.detector.core import strip_view
+from cgemit.detector.parts import CgemLayer
 from cgemit.draw.event import (
     Array,
     EventView,
@@ -74,7 +76,7 @@ def event(result: Result, number: int = 0) -> Picture:
     """
     view = view_of(result, number)
     detector = view.detector
-    readout = f", read-out {result.settings.digitize.readout.name}" if detector.cgem else ""
+    readout = f", read-out {result.settings.digitize.readout.name}" if detector.layers else ""
     finder = f", finder {result.finder}" if result.finder not in (None, "truth") else ""
     whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {view.shot()}"
     # Lines end behind a particle only.
@@ -87,13 +89,13 @@ def event(result: Result, number: int = 0) -> Picture:
             _drift_circles(plot, view)
             _frame(plot, "x  (mm)", "y  (mm)")
         _limit(axes[0], *_window(view))
-        _limit(axes[1], (0.0, 0.0), 1.1 * max((layer.r_out for layer in detector.cgem), default=0.3 * view.r))
+        _limit(axes[1], (0.0, 0.0), 1.1 * max((layer.r_out for layer in detector.layers), default=0.3 * view.r))
         _longitudinal_detector(axes[2], detector)
         _longitudinal_hits(axes[2], view)
         _frame(axes[2], "z  (mm)", "r  (mm)")
         axes[2].set(xlim=(-1.03 * view.z, 1.03 * view.z), ylim=(0, 1.03 * view.r))
         _tracks(axes, view)
-        for layer, plot in enumerate(anodes):
+        for layer, plot in zip(strip_view(detector).layer.tolist(), anodes, strict=True):
             _anode(plot, view, layer)
         if charges:
             draw_cluster_strips(charges, view)
@@ -137,9 +139,9 @@ def _window(view: EventView) -> tuple[tuple[float, float], float]:
 def _transverse_detector(axes: Axes, detector: Detector) -> None:
     for part in (*detector.beam_pipe, *detector.walls):
         axes.add_patch(Wedge((0, 0), part.r_out, 0, 360, width=max(part.thickness, 0.4), color=COLORS["matter"], lw=0))
-    for layer in detector.cgem:
+    for layer in detector.layers:
         axes.add_patch(Wedge((0, 0), layer.r_out, 0, 360, width=layer.r_out - layer.r_in, color="#E6ECF3", lw=0))
-        gap = layer.r_gap_out - layer.r_gap_in
+        gap = max(layer.r_gap_out - layer.r_gap_in, 0.8)  # a sensor of silicon stays visible
         axes.add_patch(Wedge((0, 0), layer.r_gap_out, 0, 360, width=gap, color="#B7D5EF", lw=0))
     layers = wire_layers(detector)
     if layers:
@@ -149,9 +151,10 @@ def _transverse_detector(axes: Axes, detector: Detector) -> None:
 
 
 def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
-    for layer in detector.cgem:
+    for layer in detector.layers:
         corner = (-layer.half_length, layer.r_in)
-        axes.add_patch(Rectangle(corner, 2 * layer.half_length, layer.r_out - layer.r_in, color="#B7D5EF", lw=0))
+        height = max(layer.r_out - layer.r_in, 0.8)
+        axes.add_patch(Rectangle(corner, 2 * layer.half_length, height, color="#B7D5EF", lw=0))
     for part in (*detector.beam_pipe, *detector.walls):
         corner = (-part.half_length, part.r_in)
         axes.add_patch(Rectangle(corner, 2 * part.half_length, max(part.thickness, 0.8), color=COLORS["matter"], lw=0))
@@ -169,9 +172,7 @@ def _clusters(axes: Axes, view: EventView, x: Array, y: Array, size: float) -> N
     seen = np.isfinite(x) & np.isfinite(y)
     real, ghosts = seen & view.shown_clusters(), seen & view.ghosts
     if real.any():
-        axes.plot(
-            x[real], y[real], "P", color=COLORS["cgem"], mec="white", mew=0.5, label="CGEM cluster", ms=size, zorder=5
-        )
+        axes.plot(x[real], y[real], "P", color=COLORS["cgem"], mec="white", mew=0.5, label="cluster", ms=size, zorder=5)
     if ghosts.any():
         label = "ghost: X and V of different crossings"
         axes.plot(x[ghosts], y[ghosts], "X", mfc="white", mec=GHOST, mew=0.9, label=label, ms=size, zorder=4.5)
@@ -235,7 +236,8 @@ def track_label(p: float) -> str:
 
 def _anode(axes: Axes, view: EventView, number: int) -> None:
     """Draw the unrolled anode of a layer: fired strips, true crossings, clusters and ghosts."""
-    layer = view.detector.cgem[number]
+    layer = view.detector.layers[number]
+    assert isinstance(layer, CgemLayer)
     digis = view.digis
     for name, code in (("x", 0), ("v", 1)):
         fired = (digis["layer"] == number) & (digis["view"] == code) & (digis["strip"] >= 0)
@@ -252,7 +254,7 @@ def _anode(axes: Axes, view: EventView, number: int) -> None:
     _clusters(axes, view, np.degrees(phi), z, 6)
     for edge in layer.sheet_phi:
         axes.axvline(math.degrees(edge), color="#B9C1CA", lw=0.8, ls=":", zorder=0)
-    _frame(axes, "φ  (deg)", "z  (mm)" if number == 0 else "")
+    _frame(axes, "φ  (deg)", "z  (mm)" if layer is view.detector.cgem[0] else "")
     axes.set(xlim=(-180, 180), ylim=(-layer.half_length, layer.half_length), xticks=(-180, -90, 0, 90, 180))
     axes.set_title(f"anode of {plain(layer.label)}, unrolled", loc="left")
 
@@ -361,7 +363,7 @@ def _plotly() -> Any:
 
 def _cylinders(plotly: Any, view: EventView) -> list[Any]:
     parts = [("beam pipe", part.r_out, part.half_length, "#8A95A1") for part in view.detector.beam_pipe[:1]]
-    parts += [(layer.label, layer.r_mid, layer.half_length, "#7FB2DC") for layer in view.detector.cgem]
+    parts += [(layer.label, layer.r_mid, layer.half_length, "#7FB2DC") for layer in view.detector.layers]
     found = []
     for name, radius, half, color in parts:
         z = np.array([[-half], [half]])
@@ -401,7 +403,7 @@ def _strips(view: EventView, code: int) -> list[Array]:
     digis = view.digis
     lines = []
     for row in np.flatnonzero((digis["view"] == code) & (digis["strip"] >= 0)):
-        layer = view.detector.cgem[digis["layer"][row]]
+        layer = view.detector.layers[digis["layer"][row]]
         phi, z = strip_line(layer, int(digis["sheet"][row]), code, int(digis["strip"][row]))
         lines.append(np.stack([layer.r_readout * np.cos(phi), layer.r_readout * np.sin(phi), z], axis=1))
     return lines
@@ -419,7 +421,7 @@ def _points(plotly: Any, view: EventView) -> list[Any]:
     real, ghosts = seen & view.shown_clusters(), seen & view.ghosts
     groups = [
         ("true crossing", _around(truths["r"], truths["phi"], truths["z"]), COLORS["truth"], "circle-open", 6),
-        ("CGEM cluster", _around(*(clusters[name][real] for name in ("r", "phi", "z"))), COLORS["cgem"], "cross", 4),
+        ("cluster", _around(*(clusters[name][real] for name in ("r", "phi", "z"))), COLORS["cgem"], "cross", 4),
         ("ghost", _around(*(clusters[name][ghosts] for name in ("r", "phi", "z"))), GHOST, "x", 3),
         ("true crossing of a cell", np.stack([crossed[a] for a in "xyz"], 1), COLORS["truth"], "circle-open", 3),
     ]

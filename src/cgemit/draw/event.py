@@ -12,7 +12,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from cgemit.chain.settings import fit_settings
-from cgemit.detector.parts import crossing_z, v_of_strips
+from cgemit.detector.core import strip_view
+from cgemit.detector.parts import CgemLayer, crossing_z, v_of_strips
 from cgemit.draw.style import COLORS, plain, statistics_box
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
 from cgemit.particles.species import species
@@ -237,8 +238,8 @@ def _ghosts(clusters: Table) -> npt.NDArray[np.bool_]:
 
 def _reach(detector: Detector) -> tuple[float, float]:
     wires = wire_layers(detector)
-    r = [part.r_out for part in (*detector.beam_pipe, *detector.walls)] + [layer.r_out for layer in detector.cgem]
-    z = [layer.half_length for layer in detector.cgem] + [layer.half_length for layer in wires]
+    r = [part.r_out for part in (*detector.beam_pipe, *detector.walls)] + [layer.r_out for layer in detector.layers]
+    z = [layer.half_length for layer in detector.layers] + [layer.half_length for layer in wires]
     r += [layer.r_end for layer in wires]
     return max(r, default=_FALLBACK_SIZE), max(z, default=_FALLBACK_SIZE)
 
@@ -366,7 +367,8 @@ def cluster_strips(view: EventView, number: int) -> list[ClusterStrips]:
 
 
 def _of_view(view: EventView, number: int, code: int) -> ClusterStrips | None:
-    clusters, digis, layer = view.clusters, view.digis, view.detector.cgem[number]
+    clusters, digis, layer = view.clusters, view.digis, view.detector.layers[number]
+    assert isinstance(layer, CgemLayer)
     rows = np.flatnonzero((clusters["layer"] == number) & (clusters["view"] == code) & (clusters["first"] >= 0))
     if not len(rows):
         return None
@@ -408,10 +410,10 @@ def draw_cluster_strips(axes: list[Axes], view: EventView) -> None:
     Parameters
     ----------
     axes : list of Axes
-        For each layer; the last one gets the scale of the times.
+        For each CGEM layer; the last one gets the scale of the times.
     view : EventView
     """
-    layers = [cluster_strips(view, number) for number in range(len(axes))]
+    layers = [cluster_strips(view, number) for number in strip_view(view.detector).layer.tolist()]
     times = np.concatenate([np.empty(0), *(one.time for layer in layers for one in layer)])
     low, high = (float(times.min()), float(times.max())) if len(times) else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high if high > low else low + 1.0), _TIMES)

@@ -6,7 +6,11 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
-from cgemit.detector import Detector, load
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.detector import CgemLayer, Detector, load
+from cgemit.detector.core import StripView, strip_view
 from cgemit.detector.gas import most_lost
 from cgemit.detector.readouts import (
     READOUTS,
@@ -22,7 +26,7 @@ from cgemit.detector.readouts import (
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
-from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer
+from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer, clusters_of_positions
 from cgemit.tables import Table
 from cgemit.tables.table import made_by
 
@@ -139,6 +143,43 @@ def cluster(
     >>> len(clusters) == len(r.clusters), np.unique(clusters["view"]).tolist()
     (True, [0, 1, 2])
     """
-    clusterer = clusterer_of(readout)
-    found = clusterer.cluster(load(detector), digis, settings or ClusterSettings(), directions)
-    return made_by(f"read-out {clusterer.readout.name}", "clusters", found, digis)
+    clusterer, detector, settings = clusterer_of(readout), load(detector), settings or ClusterSettings()
+
+    def of_readout(alone: Detector, digis: Table, directions: Floats | None) -> Table:
+        found = clusterer.cluster(alone, digis, settings, directions)
+        return made_by(f"read-out {clusterer.readout.name}", "clusters", found, digis)
+
+    if not detector.layer:
+        return of_readout(detector, digis, directions)
+    # The read-out sees CGEM layers alone; other layers measure positions.
+    view = strip_view(detector)
+    is_strip = _numbers(view, digis) >= 0
+    errors = np.array([(0.0, 0.0) if isinstance(one, CgemLayer) else one.errors for one in detector.layers])
+    positions = clusters_of_positions(detector, digis[~is_strip], errors)
+    strips, own = view.of(digis[is_strip]), None
+    if directions is not None:
+        own = directions[_numbers(view, _joined(view.back(of_readout(view.detector, strips, None)), positions)) >= 0]
+    return _joined(view.back(of_readout(view.detector, strips, own)), positions)
+
+
+def _numbers(view: StripView, table: Table) -> npt.NDArray[np.int32]:
+    """Return the number of each row's layer among the CGEM layers, (rows,) int32; -1 for others."""
+    layer = table["layer"]
+    wrong = np.flatnonzero((layer < 0) | (layer >= len(view.number)))
+    if len(wrong):
+        expected = f"a layer of the detector, 0 to {len(view.number) - 1}"
+        raise ValueError(f"{table.kind} row {wrong[0]}: layer: got {layer[wrong[0]]}, expected {expected}")
+    return np.asarray(view.number[layer])
+
+
+def _joined(strips: Table, positions: Table) -> Table:
+    """Return the clusters of both kinds of layers, by event and layer, with the links from points to their views."""
+    of_positions = {name: np.zeros(len(positions), strips[name].dtype) for name in strips} | dict(positions.columns)
+    columns = {name: np.concatenate([strips[name], of_positions[name]]) for name in strips}
+    for name in ("x_cluster", "v_cluster"):
+        columns[name][len(strips) :] += np.where(positions[name] < 0, 0, len(strips))
+    order = np.lexsort((columns["layer"], columns["event"]))
+    place = np.append(np.argsort(order), -1)
+    for name in ("x_cluster", "v_cluster"):
+        columns[name] = place[columns[name]].astype(columns[name].dtype)
+    return Table("clusters", {name: one[order] for name, one in columns.items()}, meta=strips.meta, **strips.cover)

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled, load
-from cgemit.detector.parts import crossing_z, local_v
+from cgemit.detector.core import strip_view
+from cgemit.detector.parts import crossing_z, local_v, pitches, without_layers
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import (
     HIT_V,
@@ -96,8 +97,8 @@ _RANGES = {
 
 def _reach(detector: Detector, layer: Column) -> Column:
     """Return the largest abs(z) of a point on each layer, mm; no limit for layers that are not there."""
-    lengths = np.array([*(1.1 * one.half_length for one in detector.cgem), np.inf])
-    return lengths[np.where((layer >= 0) & (layer < len(detector.cgem)), layer, -1)]
+    lengths = np.array([*(1.1 * one.half_length for one in detector.layers), np.inf])
+    return lengths[np.where((layer >= 0) & (layer < len(detector.layers)), layer, -1)]
 
 
 class RowProblem(NamedTuple):
@@ -122,7 +123,7 @@ def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     clusters : dict of str to ndarray
         As given, with `view`.
     """
-    layers, layer = len(detector.cgem), clusters["layer"]
+    layers, layer = len(detector.layers), clusters["layer"]
     problems: list[RowProblem] = []
 
     def refuse(name: str, wrong: Column, expected: str) -> None:
@@ -131,7 +132,7 @@ def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
             got = f"{value:g}" if value.ndim == 0 else str(value.tolist())
             problems.append(RowProblem("clusters", int(row), name, got, expected))
 
-    refuse("layer", (layer < 0) | (layer >= layers), f"a CGEM layer of the detector, 0 to {layers - 1}")
+    refuse("layer", (layer < 0) | (layer >= layers), f"a layer of the detector, 0 to {layers - 1}")
     point = clusters["view"] == XV_CLUSTER
     for name, other, unit in (("phi", "x", "rad"), ("z", "v", "mm")):
         if name in clusters:
@@ -188,7 +189,7 @@ def _strip_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     problems = []
     for is_view, name in ((HIT_X, "x"), (HIT_V, "v")):
         position = clusters.get(name, np.full(len(layer), np.nan))
-        for number, one in enumerate(detector.cgem):
+        for number, one in enumerate(detector.layers):
             strips = (one.strips_x, one.strips_v)[is_view]
             mine = (layer == number) & (view == is_view) & np.isnan(position)
             for row in np.flatnonzero(mine & ((first < 0) | (last < first) | (last >= strips))):
@@ -377,8 +378,8 @@ def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) ->
     wrong = np.flatnonzero((view < HIT_X) | (view > XV_CLUSTER))
     if len(wrong):
         problems.append(f"clusters row {wrong[0]}: view: got {view[wrong[0]]}, expected 0 (X), 1 (V) or 2 (XV)")
-    if n and not detector.cgem:
-        problems.append(f"clusters: got {n} rows; expected none, {detector.name} has no CGEM layers")
+    if n and not detector.layers:
+        problems.append(f"clusters: got {n} rows; expected none, {detector.name} has no layers of clusters")
     if problems:
         return columns
     nan = np.full(n, np.nan)
@@ -389,13 +390,15 @@ def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) ->
     columns["sheet"] = _sheets(detector, columns, "sheet" in has, problems)
     for name, value in (("first", -1), ("last", -1), ("size", 0)):
         columns[name] = given.get(name, np.full(n, value)).copy()
-    errors = cluster_errors(detector, ClusterSettings()) if "first" in has else None
-    for number, layer in enumerate(detector.cgem):
+    errors = cluster_errors(without_layers(detector), ClusterSettings()) if "first" in has else None
+    of_cgem = strip_view(detector).number
+    for number, layer in enumerate(detector.layers):
         rows = np.flatnonzero(given["layer"] == number)
         mine = {name: columns[name][rows] for name in (*names, "view", "sheet", "first", "last", "size", "cov_xv")}
         mine |= {name: given[name][rows] for name in ("err", "cov", "cov_phi_z") if name in has}
         mine["r"] = np.full(len(rows), layer.r_mid)
-        of_strips = None if errors is None else (errors[0][number], errors[1][number])
+        strips = errors is not None and of_cgem[number] >= 0
+        of_strips = (errors[0][of_cgem[number]], errors[1][of_cgem[number]]) if errors and strips else None
         _fill_layer(layer, mine, of_strips, keep_size="size" in has)
         for name in (*names, "size", "cov_xv", "r"):
             columns[name][rows] = mine[name]
@@ -407,7 +410,7 @@ def _sheets(detector: Detector, columns: Columns, given: bool, problems: list[st
     if given:
         return columns["sheet"]
     sheet = np.zeros(len(columns["layer"]), np.int64)
-    for number, layer in enumerate(detector.cgem):
+    for number, layer in enumerate(detector.layers):
         rows = np.flatnonzero(columns["layer"] == number)
         around = np.remainder(columns["phi"][rows] - layer.sheet_phi[0], 2 * np.pi)
         if layer.sheets == 1 or not len(rows):
@@ -428,7 +431,8 @@ def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | No
     given_errors = np.isfinite(np.where(view == HIT_V, mine["err_v"], mine["err_x"])) | ("err" in mine)
     strips = (mine["first"] >= 0) & (mine["last"] >= mine["first"]) & ~point
     size = np.where(strips, mine["last"] - mine["first"] + 1, 0)
-    of_views = (HIT_X, "x", layer.pitch_x, 0.0, 0), (HIT_V, "v", layer.pitch_v, layer.offset_v, 1)
+    pitch_x, pitch_v = pitches(layer)
+    of_views = (HIT_X, "x", pitch_x, 0.0, 0), (HIT_V, "v", pitch_v, layer.offset_v, 1)
     for is_view, name, pitch, offset, which in of_views:
         rows, error = view == is_view, mine[f"err_{name}"]
         centre = (0.5 * (mine["first"] + mine["last"] + 1) + offset) * pitch

@@ -315,7 +315,7 @@ def track_directions(detector: Detector, n_clusters: int, states: Table | None) 
     r = np.hypot(states["x"], states["y"])
     outward = (states["x"] * states["px"] + states["y"] * states["py"]) / r
     around = (states["x"] * states["py"] - states["y"] * states["px"]) / r
-    for number, layer in enumerate(detector.cgem):
+    for number, layer in enumerate(detector.layers):
         gap = layer.r_gap_out - layer.r_gap_in
         crosses = (outward > 0) & (outward**2 * r > gap * (outward**2 + around**2))
         here = np.flatnonzero((states["layer"] == number) & crosses)

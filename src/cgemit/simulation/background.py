@@ -18,7 +18,7 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, is_whole
 from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
-from cgemit.detector.core import compiled, strip_lists
+from cgemit.detector.core import compiled, joined, strip_lists, strip_view
 from cgemit.detector.drift import distance_at, shifted
 from cgemit.detector.parts import BackgroundLevel, WireLayer
 from cgemit.simulation.digitize import without_dead
@@ -164,7 +164,8 @@ def add_background(
     if settings.events:
         mixed = mix_events(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
         digis, wire_hits = mixed["digis"], mixed["wire_hits"]
-    has_strips = not len(digis) or bool((digis["strip"] >= 0).all())
+    of_cgem = digis["strip"][strip_view(detector).number[digis["layer"]] >= 0] if detector.layer else digis["strip"]
+    has_strips = bool((of_cgem >= 0).all())
     if level is not None and not settings.is_off:
         digis, wire_hits = read_out(level, digis, wire_hits, seed)
         if has_strips:
@@ -284,7 +285,12 @@ def _shares(layers: Sequence[WireLayer], level: BackgroundLevel, factor: float) 
 
 
 def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digis: Table, seed: int) -> Table:
-    """Return digis with strips of the background and listed hot strips, without dead ones."""
+    """Return digis with strips of the background and listed hot strips, without dead ones; CGEM layers only."""
+    if detector.layer:
+        view = strip_view(detector)
+        is_strip = view.number[digis["layer"]] >= 0
+        own = _with_strips(view.detector, level, factor, view.of(digis[is_strip]), seed)
+        return joined([view.back(own), digis[~is_strip]])
     layers, listed = detector.cgem, strip_lists(detector).hot
     area = [layer.sheets * layer.strips_x * layer.pitch_x * 2 * layer.half_length / 100 for layer in layers]  # cm^2
     rate = (
@@ -515,11 +521,11 @@ def _strange_cells(detector: Detector, hits: Table) -> Rows:
 
 def _strange_strips(detector: Detector, digis: Table) -> Rows:
     """Return the rows of strips that a detector does not have; positions have a layer only."""
-    strips = np.array([(one.strips_x, one.strips_v) for one in detector.cgem], np.int64).reshape(-1, 2)
+    strips = np.array([(one.strips_x, one.strips_v) for one in detector.layers], np.int64).reshape(-1, 2)
     strange = np.flatnonzero(digis["layer"] >= len(strips))
     if len(strange):
         return strange
-    first = np.cumsum([0, *(strips.sum(axis=1) * [one.sheets for one in detector.cgem])])[digis["layer"]]
+    first = np.cumsum([0, *(strips.sum(axis=1) * [one.sheets for one in detector.layers])])[digis["layer"]]
     x, both = strips[digis["layer"], 0], strips[digis["layer"]].sum(axis=1)
     gid = first + digis["sheet"] * both + digis["view"] * x + digis["strip"]
     beyond = digis["strip"] >= strips[digis["layer"], digis["view"]]

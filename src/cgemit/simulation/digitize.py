@@ -12,15 +12,15 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import one_of
-from cgemit.detector import CgemLayer, Detector, compiled, load
-from cgemit.detector.core import in_dead_area, strip_lists
+from cgemit.detector import Detector, compiled, load
+from cgemit.detector.core import in_dead_area, joined, strip_lists, strip_view
 from cgemit.detector.drift import (
     XT_DISTANCE,
     XT_TIME,
     propagation_time,
     shifted,
 )
-from cgemit.detector.parts import seen_by
+from cgemit.detector.parts import Layer, seen_by
 from cgemit.detector.readouts import (
     READOUTS,
     AnalogReadout,
@@ -33,7 +33,7 @@ from cgemit.detector.readouts import (
 from cgemit.simulation.digitizers.analog import AnalogDigitizer
 from cgemit.simulation.digitizers.binary import BinaryDigitizer
 from cgemit.simulation.digitizers.digitizer import Digitizer
-from cgemit.simulation.digitizers.gaussian import GaussianDigitizer
+from cgemit.simulation.digitizers.gaussian import GaussianDigitizer, measured_positions
 from cgemit.simulation.digitizers.projection import ProjectionDigitizer
 from cgemit.tables import Table
 from cgemit.tables.table import made_by
@@ -58,15 +58,15 @@ def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Tabl
     truths, steps : Table
         With other `entry`, `exit`, `phi`, `z` of truths, and `x`, `y`, `z`, `dx`, `dy`, `dz` of steps.
     """
-    if not any(layer.is_moved for layer in detector.cgem):
+    if not any(layer.is_moved for layer in detector.layers):
         return truths, steps
     entry, out = _points(truths, "entry_x", "entry_y", "entry_z"), _points(truths, "exit_x", "exit_y", "exit_z")
     direction = out - entry
-    radius = np.array([layer.r_mid for layer in detector.cgem])[truths["layer"]]
+    radius = np.array([layer.r_mid for layer in detector.layers])[truths["layer"]]
     middle = np.column_stack([radius * np.cos(truths["phi"]), radius * np.sin(truths["phi"]), truths["z"]])
     at, length = _points(steps, "x", "y", "z"), _points(steps, "dx", "dy", "dz")
     along = direction[steps["truth"]]
-    for number, layer in enumerate(detector.cgem):
+    for number, layer in enumerate(detector.layers):
         if not layer.is_moved:
             continue
         mine, of_mine = truths["layer"] == number, steps["layer"] == number
@@ -79,7 +79,7 @@ def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Tabl
     return truths.with_columns(**moved), steps.with_columns(**of_steps)
 
 
-def _steps_seen_by(layer: CgemLayer, middle: Floats, length: Floats, along: Floats) -> tuple[Floats, Floats]:
+def _steps_seen_by(layer: Layer, middle: Floats, length: Floats, along: Floats) -> tuple[Floats, Floats]:
     """Return middles and lengths of steps, (n, 3), of which both ends keep their radius."""
     begin, end = (seen_by(layer, middle + side * length, along) for side in (-0.5, 0.5))
     return 0.5 * (begin + end), end - begin
@@ -209,14 +209,47 @@ def digitize(
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     truths, steps = in_layer_axes(detector, truths, steps)
-    digis = digitizer_of(settings.readout).digitize(detector, truths, steps, seed)
-    digis = made_by(f"read-out {settings.readout.name}", "digis", digis, truths)
+    digis = _digis(detector, settings.readout, truths, steps, seed)
     return {
         "wire_hits": read_out_wires(
             detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed, raw=settings.wire_times == "raw"
         ),
         "digis": without_dead(detector, outside_dead_areas(detector, digis, truths)),
     }
+
+
+def _digis(detector: Detector, readout: Readout, truths: Table, steps: Table, seed: int) -> Table:
+    """Return the digis of all layers: the read-out's, which sees CGEM layers alone, and positions of the others."""
+
+    def of_readout(alone: Detector, truths: Table, steps: Table) -> Table:
+        digis = digitizer_of(readout).digitize(alone, truths, steps, seed)
+        return made_by(f"read-out {readout.name}", "digis", digis, truths)
+
+    if not detector.layer:
+        return of_readout(detector, truths, steps)
+    view = strip_view(detector)
+    is_strip = view.number[truths["layer"]] >= 0
+    rows, others = np.flatnonzero(is_strip), np.flatnonzero(~is_strip)
+    place = np.cumsum(is_strip) - 1  # of a truth among those of CGEM layers
+    of_strips = steps[view.number[steps["layer"]] >= 0]
+    of_strips = view.of(of_strips, truth=place[of_strips["truth"]])
+    strips = view.back(of_readout(view.detector, view.of(truths[rows]), of_strips))
+    positions = measured_positions(detector, truths[others], seed)
+    return joined([linked(strips, rows), linked(positions, others)])
+
+
+def linked(table: Table, rows: npt.NDArray[np.int64]) -> Table:
+    """Return rows that link to some of the truths, linked to all of them; a link below 0 is none.
+
+    Parameters
+    ----------
+    table : Table
+    rows : ndarray, (n,) int
+        The truths that they link to now.
+    """
+    if not len(rows):
+        return table
+    return table.with_columns(truth=np.where(table["truth"] < 0, -1, rows[np.maximum(table["truth"], 0)]))
 
 
 def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:
@@ -230,7 +263,7 @@ def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table
         In the axes of the layers; where a crossing is at mid-gap counts for all of it.
     """
     dead = np.zeros(len(truths), np.bool_)
-    for number, layer in enumerate(detector.cgem):
+    for number, layer in enumerate(detector.layers):
         if layer.dead_seam > 0 or layer.dead_ends > 0:
             rows = np.flatnonzero(truths["layer"] == number)
             turn = np.remainder(truths["phi"][rows] - layer.phi_first, 2 * np.pi / layer.sheets)

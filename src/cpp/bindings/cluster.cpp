@@ -47,14 +47,17 @@ py::dict of_strips(const Detector& detector, const py::dict& table, const Array<
   return to_dict(std::move(found));
 }
 
-py::dict of_positions(const Detector& detector, const py::dict& table, double err_x, double err_v) {
+py::dict of_positions(const Detector& detector, const py::dict& table, const Array<double>& err_x,
+                      const Array<double>& err_v) {
   Inputs in(table, "event");
   DigiView digis = digi_view(in);
   digis.position = in.get<double>("position");
+  const auto layers = static_cast<py::ssize_t>(detector.cgem.size());
+  const auto x = column(err_x, "err_x", layers), v = column(err_v, "err_v", layers);
   ClusterColumns found;
   {
     py::gil_scoped_release release;
-    found = clusters_of_positions(detector, digis, err_x, err_v);
+    found = clusters_of_positions(detector, digis, x, v);
   }
   return to_dict(std::move(found));
 }

@@ -101,6 +101,7 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   const auto placements = placements_of(columns, n);
   const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends"),
              lorentz_shift = take<double>(columns, "lorentz_shift");
+  const auto has_x = take<std::uint8_t>(columns, "has_x"), has_v = take<std::uint8_t>(columns, "has_v");
   std::vector<CgemLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
     if (sheets.at(i) < 1 || sheets.at(i) > most)
@@ -124,7 +125,9 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
                  placements[i],
                  dead_seam.at(i),
                  dead_ends.at(i),
-                 lorentz_shift.at(i)};
+                 lorentz_shift.at(i),
+                 has_x.at(i) != 0,
+                 has_v.at(i) != 0};
     std::ranges::copy(edges.subspan(i * static_cast<std::size_t>(width), static_cast<std::size_t>(most)),
                       layers[i].phi_first.begin());
   }

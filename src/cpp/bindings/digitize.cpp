@@ -36,12 +36,22 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
   return to_dict(std::move(digis));
 }
 
+std::vector<PositionErrors> position_errors(const py::dict& table, const Detector& detector) {
+  Inputs in(table, "sigma_x");
+  const auto x = in.get<double>("sigma_x"), v = in.get<double>("sigma_v"),
+             efficiency = in.get<double>("efficiency"), time = in.get<double>("sigma_time");
+  if (x.size() != detector.cgem.size()) throw std::invalid_argument("errors: expected one row for each layer");
+  std::vector<PositionErrors> found;
+  for (std::size_t i = 0; i < x.size(); ++i) found.push_back({x[i], v[i], efficiency[i], time[i]});
+  return found;
+}
+
 py::dict smeared(const Detector& detector, const py::dict& table, double gain, const Array<double>& w_values,
-                 double sigma_x, double sigma_v, std::uint64_t seed) {
+                 const py::dict& errors, std::uint64_t seed) {
   Inputs in(table, "event");
   const TruthColumns truths = truth_columns(in);
-  const GaussianReadout readout{.sigma_x = sigma_x,
-                                .sigma_v = sigma_v,
+  const std::vector<PositionErrors> of_layers = position_errors(errors, detector);
+  const GaussianReadout readout{.errors = of_layers,
                                 .gain = gain,
                                 .w_values = per_layer(w_values, detector),
                                 .seed = seed};
@@ -114,7 +124,7 @@ void bind_digitize(py::module_& module) {
              py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: binary read-out.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
-             py::arg("gain"), py::arg("w_values"), py::arg("sigma_x"), py::arg("sigma_v"), py::arg("seed"),
+             py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"),
              "Columns of digis from columns of truths: read-out without strips.");
   module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),

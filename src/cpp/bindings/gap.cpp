@@ -38,6 +38,7 @@ std::vector<DeltaSlice> make_slices(const py::dict& columns) {
 
 GapMatter make_gap(const py::dict& gap) {
   GapMatter matter{};
+  if (gap.empty()) return matter;
   matter.layers = make_layers(py::cast<py::dict>(gap["layers"]));
   matter.gap = py::cast<std::size_t>(gap["gap"]);
   matter.half_length = py::cast<double>(gap["half_length"]);

@@ -80,7 +80,7 @@ class ExpectedHits {
     if (!input_.efficiencies.empty()) there = there & is_efficient(index);
     if (!any(there)) return;
     for (const View view : {View::x, View::v})
-      add_cluster(step, view, index, there, edge, phi, at.z).hit = channel;
+      if (layer.has(view == View::x)) add_cluster(step, view, index, there, edge, phi, at.z).hit = channel;
   }
 
   CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPointOf<T>& at, const Mask& alive) {

@@ -92,11 +92,11 @@ struct Placement {
 
 inline constexpr int most_sheets = 8;  // of a layer
 
-// One cylindrical GEM layer with its two-view read-out.
+// One cylindrical layer with its read-out, of two views or one: a GEM layer, or a sensor that measures positions.
 struct CgemLayer {
   double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
-  double r_gap_in;     // mm, cathode side of the drift gap
-  double r_gap_out;    // mm, first foil
+  double r_gap_in;     // mm, cathode side of the drift gap, or inner face of the sensor
+  double r_gap_out;    // mm, first foil, or outer face of the sensor
   double half_length;  // mm, active
   double pitch_x;      // mm
   double pitch_v;      // mm
@@ -112,7 +112,9 @@ struct CgemLayer {
   double dead_seam = 0;      // mm, width about each edge of a sheet where nothing is measured
   double dead_ends = 0;      // mm, length at each end of the layer where nothing is measured
   double lorentz_shift = 0;  // mm of X, from mid-gap to the anode, in read-outs without drift
+  bool has_x = true, has_v = true;  // views that are measured
 
+  bool has(bool x) const { return x ? has_x : has_v; }
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
   double z_ref() const { return stereo > 0 ? half_length : -half_length; }
@@ -182,7 +184,7 @@ struct Detector {
   std::vector<Slab> slabs;
   std::vector<CgemLayer> cgem;
   std::vector<WireLayer> wires;
-  std::vector<GapMatter> gaps;    // one per CGEM layer; if empty, no electrons are followed
+  std::vector<GapMatter> gaps;    // one per layer in `cgem`; if empty, no electrons are followed
   std::vector<Surface> surfaces;  // by radius
   LossCuts loss;
 };

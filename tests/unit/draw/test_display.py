@@ -70,18 +70,18 @@ def test_points_across_the_beam_are_those_of_the_tables(result: cg.Result, pair:
 
 def test_ghosts_are_the_pairs_of_different_crossings(result: cg.Result, pair: Any) -> None:
     clusters = result.clusters.select_events(0, 1)
-    expected: dict[str, list[tuple[float, float]]] = {"CGEM cluster": [], "ghost": []}
+    expected: dict[str, list[tuple[float, float]]] = {"cluster": [], "ghost": []}
     for row in np.flatnonzero(clusters["view"] == 2):
         one, other = (clusters["truth"][clusters[f"{name}_cluster"][row]] for name in "xv")
-        kind = "CGEM cluster" if one == other else "ghost"
+        kind = "cluster" if one == other else "ghost"
         expected[kind].append((clusters["z"][row], clusters["r"][row]))
     assert len(expected["ghost"]) > 2
-    assert len(expected["CGEM cluster"]) == 6
+    assert len(expected["cluster"]) == 6
     drawn = lines(pair.axes[2])
     ghosts = drawn["ghost: X and V of different crossings"]
     assert list(zip(*ghosts.get_data(), strict=True)) == expected["ghost"]
-    assert list(zip(*drawn["CGEM cluster"].get_data(), strict=True)) == expected["CGEM cluster"]
-    assert ghosts.get_color() != drawn["CGEM cluster"].get_color()
+    assert list(zip(*drawn["cluster"].get_data(), strict=True)) == expected["cluster"]
+    assert ghosts.get_color() != drawn["cluster"].get_color()
 
 
 def test_drift_circles_have_the_drift_distance_as_radius_and_touch_the_track(result: cg.Result, pair: Any) -> None:

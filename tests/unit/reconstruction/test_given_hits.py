@@ -263,7 +263,7 @@ def test_one_kind_of_hits_alone(run):
             {"layer": [0, 9, 0], "phi": [np.inf, 1.0, 1.0], "z": [1.0, 1.0, np.nan], "cov": [np.eye(2)] * 3}, None,
             [
                 "clusters row 0: phi: got inf, expected a finite number, rad",
-                "clusters row 1: layer: got 9, expected a CGEM layer of the detector, 0 to 2",
+                "clusters row 1: layer: got 9, expected a layer of the detector, 0 to 2",
                 "clusters row 2: z: got nan, expected a finite number, mm",
             ],
         ),
@@ -353,5 +353,5 @@ def test_hypothesis_and_clusters_without_layers(run):
         cg.fit_hits(DETECTOR, hypothesis=["pi"])
     with pytest.raises(TypeError, match="settings: got Settings, expected FitSettings"):
         cg.fit_hits(DETECTOR, settings=cg.Settings())
-    with pytest.raises(ValueError, match="expected none, besiii-idc has no CGEM layers"):
+    with pytest.raises(ValueError, match="expected none, besiii-idc has no layers of clusters"):
         cg.fit_hits("besiii-idc", strips_of(run))

@@ -26,12 +26,28 @@ class GaussianClusterer(Clusterer):
         ValueError
             If a sheet has not as many X as V positions: the n-th of both belong together.
         """
-        found = _core.clusters_of_positions(
-            compiled(detector), dict(digis.columns), err_x=self.readout.sigma_x, err_v=self.readout.sigma_v
-        )
-        return Table("clusters", found, **digis.cover)
+        errors = np.ones((len(detector.layers), 2)) * (self.readout.sigma_x, self.readout.sigma_v)
+        return clusters_of_positions(detector, digis, errors)
 
     def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
         """Return the given errors, the same for all layers, see `Clusterer.expected_errors`."""
-        layers = len(detector.cgem)
+        layers = len(detector.layers)
         return np.full(layers, self.readout.sigma_x), np.full(layers, self.readout.sigma_v)
+
+
+def clusters_of_positions(detector: Detector, digis: Table, errors: Floats) -> Table:
+    """Return a cluster for each position.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+    errors : ndarray, (layers, 2) float64, mm
+        Of X and V.
+    """
+    x, v = np.ascontiguousarray(errors.T)
+    return Table(
+        "clusters",
+        _core.clusters_of_positions(compiled(detector), dict(digis.columns), err_x=x, err_v=v),
+        **digis.cover,
+    )

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import Detector, load
-from cgemit.detector.parts import local_v
+from cgemit.detector.parts import local_v, pitches
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
@@ -152,7 +152,7 @@ def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> li
     chamber = detector.drift_chamber
     wires = [layer.number for layer in chamber.layers] if chamber else []
     problems = []
-    for table, known in ((clusters, range(len(detector.cgem))), (wire_hits, wires)):
+    for table, known in ((clusters, range(len(detector.layers))), (wire_hits, wires)):
         strange = table["layer"][~np.isin(table["layer"], list(known))]
         if len(strange):
             problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
@@ -160,7 +160,7 @@ def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> li
     strange = view[(view < HIT_X) | (view > XV_CLUSTER)]
     if len(strange):
         problems.append(f"clusters: got view {strange[0]}, expected 0 (X), 1 (V) or 2 (XV)")
-    sheets = np.array([cgem.sheets for cgem in detector.cgem])
+    sheets = np.array([cgem.sheets for cgem in detector.layers])
     if problems:
         return problems
     wrong = (clusters["sheet"] < 0) | (clusters["sheet"] >= sheets.take(clusters["layer"]))
@@ -214,7 +214,7 @@ def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) ->
     layer, sheet, view = (clusters[name][rows] for name in ("layer", "sheet", "view"))
     truth = clusters["truth"][rows]
     residual = np.empty(len(rows))
-    for number, cgem in enumerate(detector.cgem):
+    for number, cgem in enumerate(detector.layers):
         for half_shell, start in enumerate(cgem.sheet_phi):
             for axis in (HIT_X, HIT_V):
                 mine = (layer == number) & (sheet == half_shell) & (view == axis)
@@ -232,14 +232,14 @@ def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) ->
 def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:
     """How far crossings lie from the edge of their cluster (mm), 0 if inside."""
     first, size, layer, view = (clusters[name][rows] for name in ("first", "size", "layer", "view"))
-    pitches = np.array([(cgem.pitch_x, cgem.pitch_v) for cgem in detector.cgem]).reshape(-1, 2)
-    begins = np.array([(0.0, cgem.offset_v) for cgem in detector.cgem]).reshape(-1, 2)
-    pitch = pitches[layer, view]
+    of_layer = np.array([pitches(cgem) for cgem in detector.layers]).reshape(-1, 2)
+    begins = np.array([(0.0, cgem.offset_v) for cgem in detector.layers]).reshape(-1, 2)
+    pitch = of_layer[layer, view]
     position = np.where(view == HIT_X, clusters["x"][rows], clusters["v"][rows])
     # A position weighted by charge is not the middle of the strips; one of charge and time is corrected for the Lorentz
     # shift, which strips are not. Of two parts of such a cluster at the crossing, the nearer one counts.
     strips = clusters["method"][rows] == _OF_STRIPS
-    shifts = [(cgem.lorentz_shift or 0.0) * np.array([1.0, np.cos(cgem.stereo)]) for cgem in detector.cgem]
+    shifts = [(cgem.lorentz_shift or 0.0) * np.array([1.0, np.cos(cgem.stereo)]) for cgem in detector.layers]
     shift = np.reshape(shifts, (-1, 2))[layer, view]
     middle = np.where(strips, (first + begins[layer, view] + 0.5 * size) * pitch - shift, position)
     beside = np.abs(residuals(detector, clusters, truths, rows) - (position - middle))

@@ -187,7 +187,7 @@ def _checked(
         problems.note("background", repr(background), "rate and more of Background")
     if background is None and any(one.name == OCCUPANCY for one in goals):
         problems.note("background", "none", "the rate of hits that occupancy needs")
-    if not base.cgem:
+    if not base.layers:
         problems.note("base", "a detector without CGEM layers", "at least one")
     chosen: Any = search.method if search else None
     chosen = chosen or ("gradient" if len(texts) == 1 and all(one.continuous for one in variables) else "nsga2")

@@ -346,7 +346,7 @@ def own_text(key: str, base: Detector) -> str:
 
 
 #: Groups of parts with labels.
-_GROUPS = ("beam_pipe", "cgem", "walls")
+_GROUPS = ("beam_pipe", "cgem", "layer", "walls")
 
 
 def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:

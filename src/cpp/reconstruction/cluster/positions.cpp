@@ -39,6 +39,10 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, std::size
 void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters) {
   const auto n_x = static_cast<std::size_t>(
       std::ranges::count(views, ClusterView::x, [](const ClusterRow& row) { return row.view; }));
+  if (!layer.has_x || !layer.has_v) {
+    for (const ClusterRow& cluster : views) clusters.push_back(cluster);
+    return;
+  }
   if (views.size() != 2 * n_x) {
     const ClusterRow& at = views.front();
     throw std::invalid_argument("digis of event " + std::to_string(at.event) + ", layer " +
@@ -56,8 +60,8 @@ void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, Clus
 
 }  // namespace
 
-ClusterColumns clusters_of_positions(const Detector& detector, const DigiView& digis, double err_x,
-                                     double err_v) {
+ClusterColumns clusters_of_positions(const Detector& detector, const DigiView& digis,
+                                     std::span<const double> err_x, std::span<const double> err_v) {
   check(detector, digis);
   const std::vector<std::size_t> order = by_place(digis);
   ClusterColumns clusters;
@@ -65,8 +69,9 @@ ClusterColumns clusters_of_positions(const Detector& detector, const DigiView& d
   std::vector<ClusterRow> sheet;
   for (std::size_t i = 0; i < order.size(); ++i) {
     const std::size_t row = order[i];
-    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[row])];
-    sheet.push_back(make_cluster(layer, digis, row, err_x, err_v));
+    const auto index = static_cast<std::size_t>(digis.layer[row]);
+    const CgemLayer& layer = detector.cgem[index];
+    sheet.push_back(make_cluster(layer, digis, row, err_x[index], err_v[index]));
     if (i + 1 < order.size() && digis.sheet_of(order[i + 1]) == digis.sheet_of(row)) continue;
     write_sheet(layer, sheet, clusters);
     sheet.clear();

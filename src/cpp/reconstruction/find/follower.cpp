@@ -158,7 +158,8 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
     }
     if (only >= 0 && tries) continue;
     next_.push_back(branch);
-    if (tries && nearby_.expects(step)) hole(next_.back(), log_missed_);
+    if (tries && nearby_.expects(step) && detector_.cgem[layer].has(view == View::x))
+      hole(next_.back(), log_missed_);
   }
   if (next_.empty()) next_ = branches_;
   branches_.swap(next_);

@@ -1,6 +1,7 @@
 #include "simulation/digitize/gaussian.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 #include <utility>
 
@@ -27,10 +28,12 @@ std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, st
 
 std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, std::size_t event_begin,
                           std::size_t row, const GaussianReadout& readout) {
-  const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(truths.layer[row])];
+  const auto index = static_cast<std::size_t>(truths.layer[row]);
+  const CgemLayer& layer = detector.cgem[index];
+  const PositionErrors& errors = readout.errors[index];
   if (std::abs(truths.z[row]) > layer.half_length) return std::nullopt;
   const double per_energy =
-      charge_per_energy(readout.gain, readout.w_values[static_cast<std::size_t>(truths.layer[row])]);
+      charge_per_energy(readout.gain, readout.w_values[index]);
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     const double x = local_x(layer, sheet, truths.phi[row]);
     if (x >= layer.sheet_width()) continue;
@@ -38,16 +41,19 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
                         static_cast<std::uint32_t>(truths.particle[row]));
     const Block words = stream.block(Purpose::digitization, static_cast<std::uint32_t>(truths.layer[row]),
                                      occurrence(truths, event_begin, row));
+    if (open_unit(words[2]) > errors.efficiency) return std::nullopt;
     DigiRow common{truths.event[row], truths.layer[row], sheet, 0};
     common.charge = 0.5 * truths.energy[row] * per_energy;
-    common.time = truths.time[row];
+    common.time = truths.time[row] + errors.sigma_time * normal_quantile(open_unit(words[3]));
     common.truth = static_cast<std::int64_t>(row);
     common.n_truths = 1;
     Pair pair{common, common};
-    pair.x.position = x + readout.sigma_x * normal_quantile(open_unit(words[0]));
+    pair.x.position = errors.sigma_x > 0 ? x + errors.sigma_x * normal_quantile(open_unit(words[0]))
+                                         : x_of_strips(layer, std::floor(strips_of_x(layer, x)) + 0.5);
     pair.v.view = 1;
-    pair.v.position =
-        local_v(layer, x, truths.z[row]) + readout.sigma_v * normal_quantile(open_unit(words[1]));
+    const double v = local_v(layer, x, truths.z[row]);
+    pair.v.position = errors.sigma_v > 0 ? v + errors.sigma_v * normal_quantile(open_unit(words[1]))
+                                         : v_of_strips(layer, std::floor(strips_of_v(layer, v)) + 0.5);
     return pair;
   }
   return std::nullopt;
@@ -72,8 +78,9 @@ DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths
     for (auto first = pairs.begin(); first != pairs.end();) {
       const auto last =
           std::find_if(first, pairs.end(), [&](const Pair& p) { return sheet_of(p) != sheet_of(*first); });
-      for (auto pair = first; pair != last; ++pair) digis.push_back(pair->x);
-      for (auto pair = first; pair != last; ++pair) digis.push_back(pair->v);
+      const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(first->x.layer)];
+      for (auto pair = first; layer.has_x && pair != last; ++pair) digis.push_back(pair->x);
+      for (auto pair = first; layer.has_v && pair != last; ++pair) digis.push_back(pair->v);
       first = last;
     }
   }

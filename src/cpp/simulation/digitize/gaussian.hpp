@@ -11,16 +11,22 @@
 
 namespace cgemit {
 
+// How one layer measures positions.
+struct PositionErrors {
+  double sigma_x, sigma_v;  // mm, of X = r_readout dphi and of V; 0: the middle of a strip
+  double efficiency;        // for both views together
+  double sigma_time;        // ns
+};
+
 struct GaussianReadout {
-  double sigma_x;                    // mm, of X = r_readout dphi
-  double sigma_v;                    // mm
-  double gain;                       // electrons on the anode per electron of ionization
-  std::span<const double> w_values;  // keV per electron of ionization, of each CGEM layer
+  std::span<const PositionErrors> errors;  // of each layer
+  double gain;                             // electrons on the anode per electron of ionization
+  std::span<const double> w_values;        // keV per electron of ionization, of each layer
   std::uint64_t seed;
 };
 
-// An X and a V position for each truth on the active area of a sheet, ordered by event, layer, sheet, view,
-// and then as the truths. X and V errors are independent.
+// A position in each view of the layer for each truth on the active area of a sheet, ordered by event, layer, sheet,
+// view, and then as the truths. X and V errors are independent.
 DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
                             const GaussianReadout& readout);
 

@@ -77,6 +77,10 @@ class Batch {
   }
   ParticleNumber who(std::size_t row) const { return {in_.event[row], in_.particle[row]}; }
   bool ionizes() const { return settings_.fluctuations == Fluctuations::full && !detector_.gaps.empty(); }
+  template <class N>
+  bool ionizes(const GapRecord<N>& gap) const {
+    return ionizes() && matter(gap).ionizes();
+  }
 
   std::size_t take_seats(std::size_t first) {
     seats_.clear();
@@ -174,7 +178,7 @@ class Batch {
     for (const Seat& seat : seats_) {
       with_group(seat, [&](const auto& group) {
         for (const auto& gap : group.gaps) {
-          if (!lane(gap.filled, seat.lane)) continue;
+          if (!lane(gap.filled, seat.lane) || !ionizes(gap)) continue;
           const auto k = static_cast<std::size_t>(gap.daughter);
           const ParticleColumns in = k == 0 ? in_ : columns_of(group.daughters[k - 1]);
           fill(gap, seat.lane, stream_of_half_turn(in, k == 0 ? seat.row : 0, seed_, gap.half_turn));
@@ -237,7 +241,7 @@ class Batch {
 
   template <class N>
   void write_gap(const GapRecord<N>& gap, int i, const ParticleNumber& of) {
-    const GapResult left = ionizes() ? write_steps(gap, of) : GapResult{lane(gap.deposit, i) / keV, 0, 0};
+    const GapResult left = ionizes(gap) ? write_steps(gap, of) : GapResult{lane(gap.deposit, i) / keV, 0, 0};
     out_.truths.append(
         of, {gap.slab->gap, gap.daughter, gap.half_turn, lane(gap.entry, i), lane(gap.middle, i),
              lane(gap.exit, i), lane(gap.inside.p, i), lane(gap.path, i), lane(gap.time, i), left});

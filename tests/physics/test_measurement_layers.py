@@ -1,0 +1,253 @@
+"""Layers that measure positions, `[layer.NAME]`: alone, before a CGEM, behind it; closure and an independent fit."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit.helix import RADIUS_PER_KAPPA
+
+SENSOR = {"material": "Si", "thickness": "0.1 mm"}
+QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))
+PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
+
+
+def barrel(**layer: Any) -> cg.Detector:
+    """Return seven layers of silicon of 20 to 140 mm in 1 T, with these keys."""
+    layers = {f"S{i}": {"radius": f"{20 * i} mm", "length": "900 mm"} | SENSOR | layer for i in range(1, 8)}
+    return cg.load({"name": "barrel", "field": {"kind": "uniform", "bz": "-1 T"}, "layer": layers})
+
+
+def mixed(**layer: Any) -> cg.Detector:
+    """Return the design with a layer before the CGEM, and one between it and the chamber."""
+    layers = {"IN": {"radius": "50 mm"}, "OUT": {"radius": "190 mm"}}
+    return cg.load({
+        "base": "besiii-cgem-design", "name": "mixed",
+        "layer": {name: one | {"length": "900 mm"} | SENSOR | layer for name, one in layers.items()},
+    })  # fmt: skip
+
+
+def run(detector: cg.Detector, n: int, p: float = 1.0, cos_theta: Any = (-0.8, 0.8), **how: Any) -> cg.Result:
+    return cg.run(detector, cg.Gun("mu-", p=p, cos_theta=cos_theta), n, 4, settings=how.pop("settings", QUIET), **how)
+
+
+def widths_of_pulls(result: cg.Result) -> np.ndarray:
+    return np.array([result.tracks[f"pull_{name}"].std() for name in PARAMETERS])
+
+
+@pytest.mark.parametrize("finder", ["truth", "ckf"])
+def test_pulls_of_a_barrel_of_silicon(finder: str) -> None:
+    n = 2000
+    result = run(barrel(sigma="10 um"), n, finder=finder)
+    tracks = result.tracks
+    assert len(tracks) >= 0.99 * n
+    assert (tracks["status"] == 0).mean() > 0.99
+    assert (tracks["n_clusters"] == 14).mean() > 0.99
+    np.testing.assert_allclose(widths_of_pulls(result), 1, atol=4 / math.sqrt(2 * n))
+    means = np.array([tracks[f"pull_{name}"].mean() for name in PARAMETERS])
+    np.testing.assert_allclose(means, 0, atol=4 / math.sqrt(n))
+
+
+def test_pulls_see_a_wrong_error() -> None:
+    detector = barrel(sigma="10 um")
+    wrong = barrel(sigma="13 um")
+    assert widths_of_pulls(run(detector, 2000, fit_detector=wrong))[0] < 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("p", [0.3, 1.0, 5.0])
+@pytest.mark.parametrize("cos_theta", [0.0, 0.4, -0.7])
+@pytest.mark.parametrize("make", [barrel, mixed])
+def test_expected_resolutions_are_those_of_simulated_tracks(make: Any, cos_theta: float, p: float) -> None:
+    n = 8000
+    detector = make(sigma="10 um")
+    simulated = run(detector, n, p, cos_theta).tracks
+    expected = cg.analytic(detector, "mu-", p=p, cos_theta=cos_theta)
+    for name, one, unit in (("dr", expected.sigma_dr, 1e3), ("dz", expected.sigma_dz, 1.0)):
+        assert unit * simulated[f"res_{name}"].std() == pytest.approx(float(one), rel=0.03)
+    kappa = np.sqrt(expected.cov[..., 2, 2])
+    assert simulated["res_kappa"].std() == pytest.approx(float(kappa), rel=0.03)
+
+
+def test_hits_before_and_behind_a_cgem() -> None:
+    result = run(mixed(sigma="10 um"), 500, finder="ckf")
+    layers, views = result.clusters["layer"], result.clusters["view"]
+    assert [layer.label for layer in result.detector.layers] == ["IN", "L1", "L2", "L3", "OUT"]
+    for number in (0, 4):
+        assert all(np.sum((layers == number) & (views == view)) == 500 for view in (0, 1, 2))
+    assert (result.tracks["n_clusters"] == 10).mean() > 0.85  # seams of the CGEM
+    better = cg.analytic(result.detector, "mu-", p=1.0, cos_theta=0.0)
+    alone = cg.analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=0.0)
+    assert float(better.sigma_dr) < 0.5 * float(alone.sigma_dr)
+
+
+def test_a_read_out_sees_its_own_layers_alone() -> None:
+    """CGEM digis and clusters of any read-out are those without the other layers, by the same truths."""
+    detector, alone = mixed(sigma="10 um"), cg.load("besiii-cgem-design")
+    for readout in ("binary", "gaussian", "analog-projection", "tiger"):
+        settings = cg.Settings(simulate=cg.SimulateSettings(decays=False, steps=True))
+        result = run(detector, 20, settings=settings, readout=readout, until="cluster")
+        own = (result.truths["layer"] > 0) & (result.truths["layer"] < 4)
+        rows = np.flatnonzero(own)
+        truths = result.truths[rows].with_columns(layer=result.truths["layer"][rows] - 1)
+        of = result.steps[np.isin(result.steps["truth"], rows)]
+        steps = of.with_columns(layer=of["layer"] - 1, truth=np.searchsorted(rows, of["truth"]))
+        digitize = result.settings.digitize
+        expected = cg.digitize(alone, truths, result.wire_truths, digitize, 4, steps=steps)["digis"]
+        inside = (result.digis["layer"] > 0) & (result.digis["layer"] < 4)
+        for name in ("strip", "charge", "time", "position", "sheet", "view"):
+            np.testing.assert_array_equal(result.digis[name][inside], expected[name])
+        if readout != "gaussian":  # running numbers of strips, which dead and hot strips are known by
+            before = detector.layer["IN"].strips_x + detector.layer["IN"].strips_v
+            np.testing.assert_array_equal(result.digis["gid"][inside], expected["gid"] + before)
+        clusters = cg.cluster(alone, expected, readout=digitize.readout)
+        inside = (result.clusters["layer"] > 0) & (result.clusters["layer"] < 4)
+        for name in ("x", "v", "err_x", "err_v", "phi", "z", "charge"):
+            np.testing.assert_array_equal(result.clusters[name][inside], clusters[name])
+        points = result.clusters[result.clusters["view"] == 2]
+        for name, view in (("x_cluster", 0), ("v_cluster", 1)):
+            of_view = result.clusters[points[name]]
+            assert (of_view["view"] == view).all()
+            assert (of_view["layer"] == points["layer"]).all()
+
+
+def test_background_hits_the_cgem_alone() -> None:
+    settings = cg.Settings(simulate=QUIET.simulate, background=cg.BackgroundSettings(level="bes2026"))
+    result = run(mixed(sigma="10 um"), 30, settings=settings, until="cluster")
+    layer, of_background = result.clusters["layer"], result.clusters["truth"] < 0
+    assert np.isin(layer[of_background], (1, 2, 3)).all()
+    assert of_background.sum() > 50
+
+
+@pytest.mark.parametrize("views", ["x", "v", "xv"])
+def test_strips_measure_their_middles(views: str) -> None:
+    """A pitch gives an error of pitch/sqrt(12), as simulated and as expected."""
+    n, pitch = 4000, 0.4
+    detector = barrel(**{f"pitch_{view}": f"{pitch} mm" for view in views})
+    result = run(detector, n, until="cluster")
+    clusters = result.clusters[result.clusters["view"] < 2]
+    assert set(clusters["view"].tolist()) == {"xv".index(view) for view in views}
+    for code in set(clusters["view"].tolist()):
+        rows = clusters[clusters["view"] == code]
+        truth = result.truths[rows["truth"]]
+        x = rows["r"] * np.remainder(truth["phi"] - math.pi, 2 * math.pi)
+        off = rows["x"] - x if code == 0 else rows["v"] - (450 - truth["z"])
+        off = off - (2 * math.pi * rows["r"]) * np.round(off / (2 * math.pi * rows["r"])) if code == 0 else off
+        assert np.abs(off).max() < 0.51 * pitch
+        assert off.std() == pytest.approx(pitch / math.sqrt(12), rel=5 / math.sqrt(7 * n))
+        np.testing.assert_allclose(rows[("err_x", "err_v")[code]], pitch / math.sqrt(12))
+
+
+def test_a_pitch_counts_as_its_error() -> None:
+    sigma = f"{0.4 / math.sqrt(12)!r} mm"
+    pitch, error = (
+        cg.analytic(barrel(**one), "mu-", p=1.0, cos_theta=0.3) for one in ({"pitch": "0.4 mm"}, {"sigma": sigma})
+    )
+    np.testing.assert_allclose(pitch.cov, error.cov, rtol=1e-9)
+
+
+@pytest.mark.parametrize("stereo", ["90 deg", "-90 deg", "5 deg", "-30 deg"])
+def test_layers_of_one_coordinate(stereo: str) -> None:
+    """Four layers of r phi in turn with three of V: unit pulls, and no cluster in the other view."""
+    layers = {
+        f"S{i}": {"radius": f"{20 * i} mm", "length": "900 mm"} | SENSOR
+        | ({"sigma_x": "10 um"} if i % 2 else {"sigma_v": "10 um", "stereo": stereo})
+        for i in range(1, 8)
+    }  # fmt: skip
+    detector = cg.load({"name": "turns", "field": {"kind": "uniform", "bz": "-1 T"}, "layer": layers})
+    n = 2000
+    result = run(detector, n, cos_theta=(-0.5, 0.5))
+    assert set(result.clusters["view"].tolist()) == {0, 1}
+    assert all((result.clusters["view"][result.clusters["layer"] == i] == i % 2).all() for i in range(7))
+    assert (result.tracks["status"] == 0).mean() > 0.99
+    np.testing.assert_allclose(widths_of_pulls(result), 1, atol=5 / math.sqrt(2 * n))
+    expected = cg.analytic(detector, "mu-", p=1.0, cos_theta=(-0.5, 0.5))
+    assert 1e3 * result.tracks["res_dr"].std() == pytest.approx(float(expected.sigma_dr), rel=0.06)
+
+
+def test_efficiency_and_time() -> None:
+    n = 3000
+    result = run(barrel(sigma="10 um", efficiency=0.9, sigma_time="2 ns"), n)
+    crossings, found = 7 * n, np.sum(result.clusters["view"] == 0)
+    assert found == pytest.approx(0.9 * crossings, abs=4 * math.sqrt(0.09 * crossings))
+    x = result.clusters[result.clusters["view"] == 0]
+    late = x["time"] - result.truths["time"][x["truth"]]
+    assert late.std() == pytest.approx(2.0, rel=0.02)
+    whole = cg.analytic(barrel(sigma="10 um"), "mu-", p=1.0, cos_theta=(-0.8, 0.8))
+    part = cg.analytic(barrel(sigma="10 um", efficiency=0.9), "mu-", p=1.0, cos_theta=(-0.8, 0.8))
+    assert float(part.sigma_dr) > 1.01 * float(whole.sigma_dr)
+    good = result.tracks["status"] == 0
+    assert 1e3 * result.tracks["res_dr"][good].std() == pytest.approx(float(part.rms_dr), rel=0.06)
+
+
+def least_squares(radii: np.ndarray, sigma: float, kappa: float, tanl: float, bz: float) -> np.ndarray:
+    """Return the covariance of (d, phi, kappa, z, tanl) of layers in vacuum, from differences of a helix in numpy."""
+
+    def measured(parameters: np.ndarray) -> np.ndarray:
+        d, phi, kappa, z, tanl = parameters
+        radius = RADIUS_PER_KAPPA / (bz * kappa)  # of the circle, signed as its charge
+        centre = (d + radius) * np.array([math.cos(phi), math.sin(phi)])
+        found = []
+        for r in radii:
+            # The turn after which the distance from the beam line is r.
+            cosine = (r**2 - (d + radius) ** 2 - radius**2) / (2 * radius * (d + radius))
+            turn = math.pi - math.acos(cosine)
+            angle = phi + math.pi - np.sign(radius) * turn if radius > 0 else phi + np.sign(-radius) * turn
+            x, y = centre + abs(radius) * np.array([math.cos(angle), math.sin(angle)])
+            found += [r * math.atan2(y, x), z + abs(radius) * turn * tanl]
+        return np.array(found)
+
+    at, steps = np.array([1e-9, 0.3, kappa, 0.0, tanl]), np.array([1e-3, 1e-5, 1e-5, 1e-3, 1e-5])
+    columns = [
+        (measured(at + h) - measured(at - h)) / (2 * step) for h, step in zip(np.diag(steps), steps, strict=True)
+    ]
+    design = np.array(columns).T / sigma
+    return np.linalg.inv(design.T @ design)
+
+
+@pytest.mark.parametrize("p", [10.0, 50.0])
+@pytest.mark.parametrize("cos_theta", [0.0, 0.6])
+def test_covariance_in_vacuum_is_that_of_least_squares(p: float, cos_theta: float) -> None:
+    vacuum = {"Vacuum": {"density": "1e-6 g/cm3", "composition": "H2", "gas": True}}
+    radii = np.array([20.0, 50.0, 100.0, 200.0, 400.0])
+    layers = {
+        f"S{i}": {"radius": f"{r} mm", "length": "3 m", "sigma": "7 um", "material": "Vacuum", "thickness": "1 um"}
+        for i, r in enumerate(radii)
+    }
+    detector = cg.load({
+        "name": "vacuum", "materials": vacuum | {"Air": {"density": "1e-6 g/cm3", "composition": "H2", "gas": True}},
+        "field": {"kind": "uniform", "bz": "-1 T"}, "layer": layers,
+    })  # fmt: skip
+    sine = math.sqrt(1 - cos_theta**2)
+    expected = least_squares(radii, 0.007, -1 / (p * sine), cos_theta / sine, -1.0)
+    found = cg.analytic(detector, "mu-", p=p, cos_theta=cos_theta, phi=0.3).cov
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), np.sqrt(np.diag(expected)), rtol=2e-3)
+
+
+def test_own_points_are_fitted() -> None:
+    detector = barrel(sigma="10 um")
+    result = run(detector, 50)
+    points = result.clusters[result.clusters["view"] == 2]
+    given = {name: points[name] for name in ("event", "layer", "phi", "z")}
+    given |= {"err_phi": 0.01 / points["r"], "err_z": np.full(len(points), 0.01)}
+    own = cg.fit_hits(detector, given | {"candidate": points["event"]})
+    np.testing.assert_allclose(own["tracks"]["kappa"], result.tracks["kappa"], rtol=1e-6)
+
+
+def test_designs_are_varied_and_budgeted() -> None:
+    detector = barrel(sigma="10 um")
+    budget = cg.analytic(detector, "mu-", p=0.5).budget("dr")
+    parts = budget.grouped("part")
+    assert {f"S{i}" for i in range(1, 8)} <= parts.keys()
+    assert float(sum(parts.values())) == pytest.approx(float(cg.analytic(detector, "mu-", p=0.5).sigma_dr) ** 2)
+    found = cg.sensitivity(detector, "mu-", p=1.0)
+    for key in ("layer.S1.sigma_x", "layer.S1.radius", "layer.S1.thickness"):
+        low, high = (
+            cg.analytic(detector.with_overrides({key: f"x{1 + step}"}), "mu-", p=1.0).sigma_dr for step in (-0.01, 0.01)
+        )
+        difference = (math.log(float(high)) - math.log(float(low))) / 0.02
+        assert float(found.of(key, "dr")) == pytest.approx(difference, rel=0.05, abs=0.002)
