@@ -19,15 +19,17 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its read-out
 (strips, pitch, stereo angles, wires), and draw it: r-phi.png, r-z.png, layers.png (and .pdf) in the output folder,
-beside detector.toml (the complete description), summary.json (the printed numbers), and with --gdml detector.gdml
-(volumes and materials for Geant4, DD4hep and ROOT)."""
+beside detector.toml (the complete description), summary.json (the printed numbers), with --gdml detector.gdml (volumes
+and materials for Geant4, DD4hep and ROOT), and with --delphes detector.tcl (the block DetectorGeometry of a Delphes
+card). A Delphes card is read as well: its barrel becomes a detector."""
 
 EXAMPLES = """\
 examples:
   cgemit show besiii-cgem                                            pictures in ./cgemit-show-besiii-cgem
   cgemit show my-detector.toml -o pictures --overwrite
   cgemit show besiii-cgem-design --set cgem.L1.drift_gap="3 mm" --set cgem.L2.pitch_x="500 um"
-  cgemit show besiii-idc --set drift_chamber.wires=smeared --json"""
+  cgemit show besiii-idc --set drift_chamber.wires=smeared --json
+  cgemit show delphes_card_IDEA.tcl -o idea                          and idea/detector.toml"""
 
 # Column of `describe`, heading, format.
 _MATERIAL = (
@@ -63,13 +65,16 @@ _WIRES = (
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     detector = parser.add_argument(
-        "detector", metavar="DETECTOR", help="a preset (see: cgemit detectors) or a detector file in TOML"
+        "detector",
+        metavar="DETECTOR",
+        help="a preset (see: cgemit detectors), a detector file in TOML, or a Delphes card",
     )
     detector.completer = options.preset_names  # type: ignore[attr-defined]
     options.add_set(parser, 'change one value, such as cgem.L2.pitch_x="500 um"; may be repeated')
     options.add_field(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON instead of tables")
     parser.add_argument("--gdml", action="store_true", help="write detector.gdml into the output folder, too")
+    parser.add_argument("--delphes", action="store_true", help="write detector.tcl into the output folder, too")
     options.add_output(parser, "folder for the pictures (default cgemit-show-NAME)")
 
 
@@ -85,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
     options.say(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
-    _write(detector, numbers, folder, overwrite=arguments.overwrite, gdml=arguments.gdml)
+    _write(detector, numbers, folder, overwrite=arguments.overwrite, gdml=arguments.gdml, delphes=arguments.delphes)
     if not arguments.json:
         options.say(f"\npictures in {folder}")
     return options.OK
@@ -136,8 +141,11 @@ def _rows(columns: Sequence[tuple[str, str, str]], rows: Iterable[Mapping[str, A
     return [line.rstrip() for line in [aligned[0], "-" * len(aligned[0]), *aligned[1:]]]
 
 
-def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool, gdml: bool) -> None:
+def _write(
+    detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool, gdml: bool, delphes: bool
+) -> None:
     from cgemit.base.files import SUMMARY, new_folder
+    from cgemit.detector.delphes import CARD, card_of
     from cgemit.detector.export import write_files
     from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 
@@ -149,4 +157,6 @@ def _write(detector: Detector, numbers: Mapping[str, Any], folder: str, *, overw
         write_files(place, {"detector.toml": detector})
         if gdml:
             detector.to_gdml(place / "detector.gdml")
+        if delphes:
+            Path(place / f"detector{CARD}").write_text(card_of(detector), encoding="utf-8")
         Path(place / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

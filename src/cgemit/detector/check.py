@@ -168,9 +168,9 @@ def _sensor_problems(layer: MeasurementLayer) -> list[Problem]:
             problems.append(
                 Problem(f"{path}.pitch_{view}", f"{pitch:g} mm", f"at most {most:g} mm, the size of the layer")
             )
-    if "V" in layer.views and abs(layer.stereo) < math.radians(1):
-        given = f"{math.degrees(layer.stereo):g} deg"
-        problems.append(Problem(f"{path}.stereo", given, "at least 1 deg, either sign: otherwise V is X"))
+    if "V" in layer.views and abs(layer.stereo) < 1e-3:
+        given = f"{1000 * layer.stereo:g} mrad"
+        problems.append(Problem(f"{path}.stereo", given, "at least 1 mrad, either sign: otherwise V is X"))
     return problems
 
 

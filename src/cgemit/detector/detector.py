@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, Problems, shown
-from cgemit.detector import check, export, variants
+from cgemit.detector import check, delphes, export, variants
 from cgemit.detector.build import read_contents
-from cgemit.detector.files import field_tables, is_preset, open_source, place_map, resolve
+from cgemit.detector.files import field_tables, is_file, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
 from cgemit.detector.parts import Contents, Cylinder, Layer
 from cgemit.detector.reader import merged, set_path
@@ -147,8 +147,8 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
     Parameters
     ----------
     source : str, Path, mapping or Detector
-        Name of a preset (see `detectors`), path to a TOML file, or tables as `tomllib` returns them; a `Detector`
-        is returned as it is.
+        Name of a preset (see `detectors`), path to a TOML file or to a Delphes card (``.tcl``, of which the barrel is
+        read), or tables as `tomllib` returns them; a `Detector` is returned as it is.
 
     Raises
     ------
@@ -181,6 +181,8 @@ def preset(name: str) -> Detector:
 
 def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector of a preset, a file or tables; see `load`."""
+    if not isinstance(source, Mapping) and Path(source).suffix == delphes.CARD and is_file(Path(source)):
+        source = delphes.read_card(source)
     opened = open_source(source)
     problems = Problems()
     try:

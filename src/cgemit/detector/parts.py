@@ -459,7 +459,7 @@ class MeasurementLayer(MeasuringCylinder):
     label: str
     radius: float = field(metadata=key("length", "radius of the middle of the sensor", 5.0, 3000.0))
     length: float = field(
-        metadata=key("length", "active length along the beam (default: 5 radii)", 10.0, 5000.0, derived=True)
+        metadata=key("length", "active length along the beam (default: 5 radii)", 10.0, 10_000.0, derived=True)
     )
     material: Material = field(metadata=key("material", "material of the sensor"))
     thickness: float = field(metadata=key("length", "thickness of the sensor", 1e-3, 50.0, derived=True))

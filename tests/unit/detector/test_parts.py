@@ -564,7 +564,7 @@ def test_mistakes_of_a_measurement_layer_are_listed():
             "B": {"radius": "60 mm", "sigma": "5 um", "material": "Silicon", "x0": 0.1, "thickness": "1 mm"},
             "C": {"radius": "2 mm", "sigma": "5 um", "material": "Si", "efficiency": 1.2},
             "D": {"sigma": "5 um", "material": "Si"},
-            "E": {**LAYER, "radius": "150 mm", "stereo": "0.5 deg"},
+            "E": {**LAYER, "radius": "150 mm", "stereo": "0.5 mrad"},
             "F": {**LAYER, "radius": "145 mm", "pitch_x": "99 cm"},
         }})  # fmt: skip
     found = {problem.path: problem for problem in caught.value.problems}
@@ -572,8 +572,8 @@ def test_mistakes_of_a_measurement_layer_are_listed():
         assert f"layer.{path}" in found, path
     assert "one of both" in str(found["layer.A.sigma"])
     assert "also radius" in str(found["layer.D"])
-    with pytest.raises(DetectorError, match=r"layer\.VTX\.stereo: got 0\.5 deg, expected at least 1 deg"):
-        with_layer(stereo="0.5 deg")
+    with pytest.raises(DetectorError, match=r"layer\.VTX\.stereo: got 0\.5 mrad, expected at least 1 mrad"):
+        with_layer(stereo="0.5 mrad")
     with pytest.raises(DetectorError, match="no overlap with"):
         with_layer(radius="79 mm")
 
