@@ -166,6 +166,7 @@ class Detector:
         radiation: bool = True,
         field: Field | None = None,
         simulated: bool = True,
+        momentum_error: float = 0.003,
     ) -> None: ...
     # radius mm; matter inside was not crossed, or twice if it is negative.
     def beginning_at(self, radius: float) -> Detector: ...

@@ -33,6 +33,7 @@ from cgemit.detector.parts import (
     DriftChamber,
     Labelled,
     MeasurementLayer,
+    Superlayer,
     WireLayer,
 )
 from cgemit.detector.reader import (
@@ -498,6 +499,12 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
         reader.mapping("drift_chamber", raw)
         return None
     tables = {"wire_material": "Al", **raw}
+    generated = reader.mapping("drift_chamber.superlayers", tables.pop("superlayers", {}))
+    half_length = tables.pop("half_length", None)
+    if generated and tables.get("layers"):
+        reader.note("drift_chamber.superlayers", "also layers", "one of both")
+    if half_length is not None and not generated:
+        reader.note("drift_chamber.half_length", shown(half_length), "half_length of each layer, or superlayers")
     rows = reader.mapping("drift_chamber.layers", tables.pop("layers", {}))
     # Values for all layers are read once, so that a mistake in one is reported once.
     keys = {name: keys_of(WireLayer)[name] for name in FOR_ALL_LAYERS}
@@ -506,7 +513,8 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
         for name, key in keys.items()
         if name in tables
     }
-    values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=(*keys, "layers"))
+    elsewhere = (*keys, "layers", "superlayers", "half_length")
+    values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=elsewhere)
     layers = []
     if len(rows) > _MOST_WIRE_LAYERS:
         reader.note("drift_chamber.layers", f"{len(rows)} tables", f"at most {_MOST_WIRE_LAYERS}")
@@ -521,10 +529,57 @@ def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
             text = shown(str(number))
             expected = f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}"
             reader.note(f"drift_chamber.layers.{text[1:-1]}", text, expected)
+    layers += _generated(reader, generated, half_length, common)
     cells = sum(layer.cells for layer in layers)
     if cells > _MOST_CELLS:
         reader.note("drift_chamber.layers", f"{cells} cells", f"at most {_MOST_CELLS}")
     return DriftChamber(**values, layers=tuple(sorted(layers, key=lambda layer: layer.number)))
+
+
+def _generated(
+    reader: Reader, tables: Mapping[str, Any], half_length: object, common: Mapping[str, Any]
+) -> list[WireLayer]:
+    """Return the wire layers of superlayers, numbered from 0 from inside outward."""
+    missing = [name for name in ("sigma",) if tables and name not in common and not reader.baseless]
+    if missing:
+        reader.note("drift_chamber", "superlayers without " + ", ".join(missing), "values for all layers")
+    rows: list[dict[str, Any]] = []
+    following = math.nan
+    for label, table in tables.items():
+        path = f"drift_chamber.superlayers.{label}"
+        one = _superlayer(reader, path, table, tables, half_length, following)
+        if one is not None and len(rows) + one.layers > _MOST_WIRE_LAYERS:
+            reader.note(path, f"{len(rows) + one.layers} layers", f"at most {_MOST_WIRE_LAYERS}")
+        elif one is not None:
+            rows += one.rows()
+            last = rows[-1]["r_mid"]
+            following = last + one.distance(last)
+    if missing:
+        return []
+    numbers = ({name: value for name, value in row.items() if name != "r_mid"} for row in rows)
+    return [WireLayer(number=number, **common, **row) for number, row in enumerate(numbers)]
+
+
+def _superlayer(
+    reader: Reader, path: str, table: object, siblings: Mapping[str, Any], half_length: object, following: float
+) -> Superlayer | None:
+    """Return a superlayer, None if it has problems; `following`: the radius behind the one before, NaN without one."""
+    if isinstance(table, Mapping) and half_length is not None:
+        table = {"half_length": half_length, **table}
+    before = len(reader.problems)
+    values = reader.table(path, table, Superlayer, siblings=siblings)
+    if "twist" in values and "stereo" in values:
+        reader.note(f"{path}.twist", "also stereo", "one of both")
+    if "r_in" not in values and math.isnan(following):
+        reader.note(path, "no r_in", "the radius of the first layer, since no superlayer is before this one")
+    values.setdefault("r_in", following)
+    values.setdefault("spacing", UNUSABLE)
+    width = values.pop("cell_width", None)
+    if (width is None) == ("cells" not in values):
+        reader.note(path, "no cells" if width is None else "both cells and cell_width", "either cells or cell_width")
+    elif width is not None:
+        values["cells"] = max(3, _floor(2 * math.pi * values["r_in"] / width + 1e-9))
+    return Superlayer(**values) if len(reader.problems) == before else None
 
 
 def complete_layer(values: dict[str, Any]) -> None:

@@ -340,6 +340,7 @@ def compiled(
     *,
     gaps: bool = True,
     matter: bool = True,
+    momentum_error: float = 0.003,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one with gaps.
 
@@ -360,6 +361,8 @@ def compiled(
         drawn, and of ionization and electrons in the drift gaps.
     matter : bool
         Whether there is matter.
+    momentum_error : float
+        See `FitSettings`.
 
     Raises
     ------
@@ -372,7 +375,7 @@ def compiled(
     >>> compiled(cg.load("besiii-cgem")).field.bz
     -1.0
     """
-    choice = (merge, screening, foil, loss, radiation, gaps, matter)
+    choice = (merge, screening, foil, loss, radiation, gaps, matter, momentum_error)
     # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
     return _shared(detector, *choice) if gaps else _kept(detector, *choice)
 
@@ -385,7 +388,8 @@ def forget() -> None:
 
 
 def _made(
-    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool
+    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
+    momentum_error: float,
 ) -> _core.Detector:  # fmt: skip
     isa.choose()
     found = slabs(detector, merge, foil)
@@ -405,6 +409,7 @@ def _made(
         radiation=radiation,
         field=compiled_field(detector),
         simulated=gaps,
+        momentum_error=momentum_error,
     )
 
 

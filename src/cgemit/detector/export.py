@@ -31,6 +31,7 @@ from cgemit.detector.parts import (
     RatePoint,
     Shell,
     SubLayer,
+    Superlayer,
     WireLayer,
 )
 from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, MOST_POINTS, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER, strip_text
@@ -416,8 +417,10 @@ def _chamber(complete: bool) -> dict[str, Any]:
     if complete:
         layer["required"] = [name for name in layer["required"] if name not in common]
     layers = {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False}
-    found = _schema_table(DriftChamber, complete, {**common, "layers": layers})
-    return {**found, "required": [*found["required"], "layers"]} if complete else found
+    several = _schema_table(Superlayer, complete=False)
+    more = {"layers": layers, "superlayers": _labelled(several), "half_length": several["properties"]["half_length"]}
+    found = _schema_table(DriftChamber, complete, {**common, **more})
+    return {**found, "anyOf": [{"required": [name]} for name in ("layers", "superlayers")]} if complete else found
 
 
 def _material() -> dict[str, Any]:
@@ -430,6 +433,7 @@ def _schema_value(key: Key) -> dict[str, Any]:
     limits = {} if key.low == -float("inf") else {"minimum": key.low, "maximum": key.high}
     if key.kind in NATIVE:
         return _quantity(key, limits)
+    angle = _quantity(Key("angle", key.low, key.high), limits) if key.kind == "angles" else {}
     kinds: dict[str, dict[str, Any]] = {
         "integer": {"type": "integer", **limits},
         "sign": {"enum": [-1, 1]},
@@ -447,6 +451,7 @@ def _schema_value(key: Key) -> dict[str, Any]:
         "profile": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/rate_point"}},
         "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
+        "angles": {"anyOf": [angle, {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": angle}]},
         "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
         "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},
         "numbers": {

@@ -81,6 +81,7 @@ class Key(Quantity):
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',
+            "angles": "an angle with its unit, or a list of angles",
             "strips": 'a list such as ["0:17", "1:100-120"]: sheet, and strip or first and last strip, from 0',
             "gains": "a list with a number for each sheet, or rows along z of numbers along X; numbers",
             "profile": "a list of { r, rate } with increasing r",

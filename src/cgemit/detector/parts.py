@@ -648,6 +648,57 @@ class WireLayer(Part):
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Superlayer(Part):
+    """Wire layers side by side with as many cells each, as a detector file may state them in place of the layers."""
+
+    layers: int = field(metadata=key("integer", "number of layers", 1, 1000))
+    r_in: float = field(
+        metadata=key(
+            "length", "radius of the first layer's wires at z = 0 (default: behind the superlayer before)", 1.0, 3000.0,
+            derived=True,
+        )
+    )  # fmt: skip
+    cells: int = field(metadata=key("integer", "cells of each layer", 3, 10_000, derived=True))
+    spacing: float = field(
+        metadata=key("length", "distance of two layers at z = 0 (default: width of a cell)", 0.1, 500.0, derived=True)
+    )
+    half_length: float = field(metadata=key("length", "half length of the wires along the beam", 1.0, 5000.0))
+    stereo: tuple[float, ...] = field(
+        metadata=key("angles", "angles of the wires to the beam, used in turn", -1.0, 1.0), default=(0.0,)
+    )
+    twist: tuple[float, ...] = field(
+        metadata=key("angles", "azimuth at +z minus at -z in place of stereo, used in turn", -1.5, 1.5), default=()
+    )
+    stagger: bool = field(metadata=key("boolean", "whether every other layer is turned by half a cell"), default=True)
+    phi: float = field(
+        metadata=key("angle", "azimuth of wire 0 of the first layer at z = 0", -2 * math.pi, 2 * math.pi), default=0.0
+    )
+
+    def rows(self) -> Iterator[dict[str, float]]:
+        """Yield r_mid, cells, r_end, half_length, twist_cells and phi_east of each layer.
+
+        A wire at radius r at z = 0 with the angle a to the beam ends at r / cos(t), turned by 2 t, with
+        tan t = half_length tan(a) / r, or with the twist 2 t. Without `spacing`, cells are as high as they are wide.
+        """
+        r, cell = self.r_in, 2 * math.pi / self.cells
+        for number in range(self.layers):
+            if self.twist:
+                half = 0.5 * self.twist[number % len(self.twist)]
+            else:
+                half = math.atan(self.half_length * math.tan(self.stereo[number % len(self.stereo)]) / r)
+            middle = self.phi + (0.5 * cell if self.stagger and number % 2 else 0.0)
+            yield {
+                "r_mid": r, "cells": self.cells, "r_end": r / math.cos(half), "half_length": self.half_length,
+                "twist_cells": 2 * half / cell, "phi_east": math.remainder(middle + half, 2 * math.pi),
+            }  # fmt: skip
+            r += self.distance(r)
+
+    def distance(self, r: float) -> float:
+        """Return the distance of a layer at r to the next one, mm."""
+        return r * 2 * math.pi / self.cells if math.isnan(self.spacing) else self.spacing
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DriftChamber(Placed):
     """A drift chamber: wire layers in one gas.

@@ -14,7 +14,7 @@ from cgemit.base.errors import Problem, Problems, did_you_mean, joined, shown
 from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import CgemLayer, MeasurementLayer, RatePoint, SubLayer
+from cgemit.detector.parts import CgemLayer, MeasurementLayer, RatePoint, SubLayer, Superlayer
 from cgemit.units import NATIVE
 
 #: Sheet and strips of a list of strips.
@@ -77,6 +77,7 @@ EXTRA: dict[type, dict[str, Key]] = {
         "pitch": Key("length", 1e-3, 100.0, doc="pitch of both coordinates, for pitch_x and pitch_v"),
         "x0": Key("dimensionless", 1e-7, 0.5, doc="thickness of the sensor in radiation lengths, for thickness"),
     },
+    Superlayer: {"cell_width": Key("length", 0.5, 500.0, doc="width of a cell of the first layer, for cells")},
     Material: {"base": Key("text", doc="the material that this one is, at another density")},
     SubLayer: {
         "label": Key("text", doc="label of the sub-layer; the material's name if left out"),
@@ -279,6 +280,15 @@ class Reader:
             self.note(path, shown(raw), key.expected())
             return (1,)
         return tuple(numbers)
+
+    def _angles(self, path: str, raw: object, key: Key) -> Any:
+        one = Key("angle", key.low, key.high)
+        if not isinstance(raw, list):
+            return (self.value(path, raw, one),)
+        if not 0 < len(raw) <= MOST_POINTS:
+            self.note(path, shown(raw), key.expected())
+            return (UNUSABLE,)
+        return tuple(self.value(f"{path}[{i}]", angle, one) for i, angle in enumerate(raw))
 
     def _strips(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list):

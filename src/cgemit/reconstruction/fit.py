@@ -50,6 +50,9 @@ class FitSettings(SettingsData):
     loss : str
         Energy loss that is subtracted: ``"truncated"`` for the core of a momentum measurement, ``"mean"`` of all
         collisions, or Landau's ``"most_probable"`` one (docs/methods/matter.md).
+    momentum_error : float
+        Relative error of the momentum, for ``loss="truncated"``: collisions that lose more than 2.3 errors are seen as
+        tails and do not count (docs/methods/matter.md). Smaller for a better tracker.
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung (docs/methods/matter.md).
     matter : bool
@@ -96,6 +99,7 @@ class FitSettings(SettingsData):
     cluster_errors: ClusterErrors = "track"
     screening: Screening | None = None
     loss: Loss = "truncated"
+    momentum_error: Share = 0.003
     radiation: bool = True
     matter: bool = True
     start_radius: Start = 0.0
@@ -282,7 +286,7 @@ def _compiled(detector: Detector, settings: FitSettings) -> _core.Detector:
     screening = settings.screening or SCREENINGS[0]
     return compiled(
         detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
-        matter=settings.matter,
+        matter=settings.matter, momentum_error=settings.momentum_error,
     )  # fmt: skip
 
 

@@ -208,7 +208,7 @@ void bind_detector(py::module_& module) {
                        const py::dict& composition, const py::dict& cgem,
                        const std::variant<Chamber, py::dict>& wires, Screening screening,
                        const py::dict& lattice, const py::list& gaps, CoreLoss loss, bool radiation,
-                       const std::optional<FieldMap>& field, bool simulated) {
+                       const std::optional<FieldMap>& field, bool simulated, double momentum_error) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
              std::vector<CgemLayer> layers = make_cgem(cgem);
@@ -219,6 +219,7 @@ void bind_detector(py::module_& module) {
              Problems problems;
              check(problems, bz, made, layers, matter.size());
              check(problems, unplaced);
+             Part(problems, "loss").within("momentum_error", momentum_error, 0, 1);
              problems.raise("detector");
              Chamber chamber =
                  columns != nullptr ? in_place(std::move(unplaced), *columns) : std::get<Chamber>(wires);
@@ -226,13 +227,14 @@ void bind_detector(py::module_& module) {
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(chamber.layers), std::move(matter));
              prepare_scattering(detector, screening, simulated);
-             prepare_loss(detector, loss, radiation);
+             prepare_loss(detector, loss, radiation, momentum_error);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
            py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
-           py::arg("radiation") = true, py::arg("field") = py::none(), py::arg("simulated") = true)
+           py::arg("radiation") = true, py::arg("field") = py::none(), py::arg("simulated") = true,
+           py::arg("momentum_error") = usual_momentum_error)
       .def("beginning_at", &beginning_at, py::arg("radius"),
            "The detector for the fit of particles that begin at a radius (mm): matter inside was not "
            "crossed, or "

@@ -40,7 +40,8 @@ std::vector<PositionErrors> position_errors(const py::dict& table, const Detecto
   Inputs in(table, "sigma_x");
   const auto x = in.get<double>("sigma_x"), v = in.get<double>("sigma_v"),
              efficiency = in.get<double>("efficiency"), time = in.get<double>("sigma_time");
-  if (x.size() != detector.cgem.size()) throw std::invalid_argument("errors: expected one row for each layer");
+  if (x.size() != detector.cgem.size())
+    throw std::invalid_argument("errors: expected one row for each layer");
   std::vector<PositionErrors> found;
   for (std::size_t i = 0; i < x.size(); ++i) found.push_back({x[i], v[i], efficiency[i], time[i]});
   return found;
@@ -51,10 +52,8 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
   Inputs in(table, "event");
   const TruthColumns truths = truth_columns(in);
   const std::vector<PositionErrors> of_layers = position_errors(errors, detector);
-  const GaussianReadout readout{.errors = of_layers,
-                                .gain = gain,
-                                .w_values = per_layer(w_values, detector),
-                                .seed = seed};
+  const GaussianReadout readout{
+      .errors = of_layers, .gain = gain, .w_values = per_layer(w_values, detector), .seed = seed};
   DigiColumns digis;
   {
     py::gil_scoped_release release;

@@ -92,7 +92,8 @@ struct Placement {
 
 inline constexpr int most_sheets = 8;  // of a layer
 
-// One cylindrical layer with its read-out, of two views or one: a GEM layer, or a sensor that measures positions.
+// One cylindrical layer with its read-out, of two views or one: a GEM layer, or a sensor that measures
+// positions.
 struct CgemLayer {
   double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
   double r_gap_in;     // mm, cathode side of the drift gap, or inner face of the sensor
@@ -109,9 +110,9 @@ struct CgemLayer {
   int gid_first;                  // running number of the layer's first strip: sheet by sheet, X then V
   double cos_stereo, sin_stereo;  // of the stereo angle
   Placement placement = {};
-  double dead_seam = 0;      // mm, width about each edge of a sheet where nothing is measured
-  double dead_ends = 0;      // mm, length at each end of the layer where nothing is measured
-  double lorentz_shift = 0;  // mm of X, from mid-gap to the anode, in read-outs without drift
+  double dead_seam = 0;             // mm, width about each edge of a sheet where nothing is measured
+  double dead_ends = 0;             // mm, length at each end of the layer where nothing is measured
+  double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in read-outs without drift
   bool has_x = true, has_v = true;  // views that are measured
 
   bool has(bool x) const { return x ? has_x : has_v; }

@@ -42,8 +42,8 @@ struct DeltaSlice {
   double rate;          // xi/least_energy at normal incidence, summed over the slices up to this one
 };
 
-// A drift gap, the cathode in front of it, foils and anode behind it. A sensor without gas has no layers: its energy
-// loss is that of its matter, and no electrons are followed.
+// A drift gap, the cathode in front of it, foils and anode behind it. A sensor without gas has no layers: its
+// energy loss is that of its matter, and no electrons are followed.
 struct GapMatter {
   std::vector<ElectronLayer> layers;  // from inside
   std::size_t gap;                    // index of the gap among the layers

@@ -30,12 +30,12 @@ double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
 
 }  // namespace
 
-void prepare_loss(Detector& detector, CoreLoss choice, bool radiation) {
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double momentum_error) {
   constexpr double everything = 1e30, most_probable = 0.2, half_maximum = 4.018 / 2.3548;
   LossCuts& cuts = detector.loss;
   switch (choice) {
     case CoreLoss::truncated:
-      cuts = {core_cut_xi, core_cut_xi, core_cut_share};
+      cuts = {core_cut_xi, core_cut_xi, core_cut_share(momentum_error)};
       break;
     case CoreLoss::mean:
       cuts = {everything, everything, 0};

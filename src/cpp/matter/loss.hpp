@@ -48,16 +48,18 @@ using LossMoments = LossMomentsOf<double>;
 // moments of slabs add up. Slow particles (cut above w_max) get Bethe's mean and Vavilov's variance. For
 // electrons and positrons, mean and variance of the radiation are added.
 //   truncated      the core of what a momentum measurement sees (docs/methods/matter.md): its cut is 2.3
-//                  times the error of the energy, taken as 0.3 % of p beta, and 5 xi for Landau's own width
+//                  times the error of the energy, `momentum_error` of p beta, and 5 xi for Landau's own width
 //   mean           all collisions
 //   most_probable  Landau's most probable loss, and the Gaussian as wide as his distribution at half maximum,
 //                  4.018 xi; PDG 2024, eq. 34.12
 enum class CoreLoss { truncated, mean, most_probable };
-inline constexpr double core_cut_xi = 5, core_cut_share = 0.007;
+inline constexpr double core_cut_xi = 5, usual_momentum_error = 0.003;
+// Of p beta, for an error of the momentum.
+inline constexpr double core_cut_share(double momentum_error) { return 7 * momentum_error / 3; }
 
 // Sets the loss cuts of a detector. Without `radiation`, electrons and positrons lose energy in collisions
 // only.
-void prepare_loss(Detector& detector, CoreLoss choice, bool radiation);
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double momentum_error);
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 

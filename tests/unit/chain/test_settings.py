@@ -85,6 +85,7 @@ CASES: dict[str, Case] = {
     "fit.cluster_errors": Case("cluster", FITTED),
     "fit.screening": Case("moliere", FITTED),
     "fit.loss": Case("mean", FITTED),
+    "fit.momentum_error": Case(0.01, FITTED),
     "fit.radiation": Case(False, FITTED, {"fit.hypothesis": "e"}),
     "fit.matter": Case(False, FITTED),
     "fit.start_radius": Case(100.0, FITTED),

@@ -497,3 +497,113 @@ def test_dollars_are_drawn_as_they_are(tmp_path, capsys):
     assert (
         main(["resolution", "-d", str(file), "--p", "1", "--events", "30", "-o", str(tmp_path / "o"), "--quiet"]) == 0
     )
+
+
+GAS = {"density": "3.9e-4 g/cm3", "composition": {"He": 0.4, "C": 0.5, "H": 0.1}, "gas": True}
+
+
+def chamber(superlayers, **keys):
+    """Return a detector of a chamber that is stated by superlayers."""
+    given = {"gas": "HeGas", "sigma": "100 um", "half_length": "2 m"} | keys
+    shared = {name: value for name, value in given.items() if value is not None}
+    return cg.load({
+        "name": "generated", "field": {"kind": "uniform", "bz": "2 T"}, "materials": {"HeGas": GAS},
+        "drift_chamber": {**shared, "superlayers": superlayers},
+    })  # fmt: skip
+
+
+def test_superlayers_are_wire_layers():
+    """Counts from the circumference, twist from the angle, hyperboloids that are straight wires, cells in quincunx."""
+    detector = chamber({
+        "A": {"layers": 3, "r_in": "300 mm", "cell_width": "12 mm", "spacing": "11 mm"},
+        "B": {"layers": 2, "cells": 180, "stereo": ["60 mrad", "-60 mrad"], "half_length": "1.5 m"},
+    })  # fmt: skip
+    layers = detector.drift_chamber.layers
+    assert [layer.number for layer in layers] == [0, 1, 2, 3, 4]
+    assert [layer.cells for layer in layers] == [157] * 3 + [180] * 2  # 2 pi 300/12 = 157.08
+    assert [layer.half_length for layer in layers] == [2000] * 3 + [1500] * 2
+    width = 2 * math.pi * 333 / 180  # square cells behind A
+    assert [layer.r_mid for layer in layers] == pytest.approx([300, 311, 322, 333, 333 + width])
+    assert [layer.sigma for layer in layers] == [0.1] * 5
+    for layer, angle in zip(layers, (0, 0, 0, 0.06, -0.06), strict=True):
+        east, west = (np.array(end) for end in layer.end_points(7))
+        along = (east - west) / np.linalg.norm(east - west)
+        assert math.acos(along[2]) == pytest.approx(abs(angle), abs=1e-7)
+        assert math.copysign(1, layer.twist) == (-1 if angle < 0 else 1)
+        assert np.hypot(*(0.5 * (east + west))[:2]) == pytest.approx(layer.r_mid)
+        turned = math.atan2(*(0.5 * (east + west))[1::-1]) / (2 * math.pi / layer.cells) - 7
+        within = layer.number % 3 if layer.number < 3 else layer.number - 3
+        assert math.remainder(turned - 0.5 * (within % 2), layer.cells) == pytest.approx(0, abs=1e-9)
+    assert cg.load(tomllib.loads(detector.to_toml())) == detector
+
+
+def test_a_chamber_of_112_layers():
+    """IDEA's numbers of cells: 192 to 816 in 14 superlayers of 8, twisted by 30 degrees."""
+    superlayers = {f"S{i}": {"layers": 8, "cells": 192 + 48 * i, "twist": ["30 deg", "-30 deg"]} for i in range(14)}
+    superlayers["S0"]["r_in"] = "350 mm"
+    detector = chamber(superlayers)
+    layers = detector.drift_chamber.layers
+    assert (len(layers), sum(layer.cells for layer in layers)) == (112, 56448)
+    assert all(abs(layer.twist) == pytest.approx(math.pi / 6) for layer in layers)
+    tilts = [math.atan(layer.r_end * math.sin(math.pi / 12) / 2000) for layer in layers]
+    assert tilts[0] == pytest.approx(0.0468, abs=1e-4)
+    assert 0.2 < tilts[-1] < 0.25
+    result = cg.run(detector, cg.Gun("mu-", p=5.0, cos_theta=0.2), 20, 1, workers=1)
+    assert (result.tracks["status"] == 0).all()
+    assert (result.tracks["n_wires"] >= 112).all()
+    expected = float(cg.analytic(detector, "mu-", p=5.0, cos_theta=0.2).sigma_p)
+    assert result.tracks["res_p"].std() * 1e3 == pytest.approx(expected, rel=0.6)
+
+
+@pytest.mark.parametrize(
+    ("superlayers", "keys", "path", "message"),
+    [
+        ({"A": {"layers": 2, "cells": 100}}, {}, "drift_chamber.superlayers.A", "no r_in"),
+        ({"A": {"layers": 2, "r_in": "300 mm"}}, {}, "drift_chamber.superlayers.A", "no cells"),
+        (
+            {"A": {"layers": 2, "r_in": "300 mm", "cells": 9, "cell_width": "1 cm"}},
+            {}, "drift_chamber.superlayers.A", "both cells and cell_width",
+        ),
+        (
+            {"A": {"layers": 2, "r_in": "300 mm", "cells": 99, "stereo": ["60 mrad", "2 rad"]}},
+            {}, "drift_chamber.superlayers.A.stereo[1]", "an angle with its unit",
+        ),
+        (
+            {"A": {"layers": 2, "r_in": "300 mm", "cells": 99, "stereo": "1 mrad", "twist": "1 deg"}},
+            {}, "drift_chamber.superlayers.A.twist", "also stereo",
+        ),
+        ({"A": {"layers": 2000, "r_in": "300 mm", "cells": 99}}, {}, "drift_chamber.superlayers.A.layers", "from 1"),
+        (
+            {f"{i}": {"layers": 400, "cells": 99, "spacing": "0.1 mm", "r_in": f"{300 + 50 * i} mm"} for i in range(3)},
+            {}, "drift_chamber.superlayers.2", "at most 1000",
+        ),
+        ({"A": {"layers": 2, "r_in": "300 mm", "cells": 99}}, {"sigma": None}, "drift_chamber", "without sigma"),
+        (
+            {"A": {"layers": 2, "r_in": "300 mm", "cells": 99}},
+            {"layers": {"0": {}}}, "drift_chamber.superlayers", "also layers",
+        ),
+        (
+            {"A": {"layers": 9, "r_in": "300 mm", "cells": 99}, "B": {"layers": 2, "r_in": "305 mm", "cells": 99}},
+            {}, "drift_chamber.layers.9", "more than the",
+        ),
+        ({}, {"layers": {}}, "drift_chamber.half_length", "or superlayers"),
+    ],
+)  # fmt: skip
+def test_superlayers_that_cannot_be(superlayers, keys, path, message):
+    with pytest.raises(DetectorError) as caught:
+        chamber(superlayers, **keys)
+    assert any(problem.path == path and message in str(problem) for problem in caught.value.problems), caught.value
+
+
+def test_a_file_changes_the_superlayers_of_its_base(tmp_path):
+    (tmp_path / "base.toml").write_text(
+        'field = { kind = "uniform", bz = "1 T" }\n[drift_chamber]\ngas = "MdcGas"\nsigma = "0.1 mm"\n'
+        'half_length = "1 m"\n[drift_chamber.superlayers.A]\nlayers = 4\nr_in = "300 mm"\ncells = 100\n'
+    )
+    own = tmp_path / "own.toml"
+    own.write_text('base = "base.toml"\n[drift_chamber.superlayers.A]\ncells = 120\nstereo = "50 mrad"\n')
+    layers = cg.load(own).drift_chamber.layers
+    assert [layer.cells for layer in layers] == [120] * 4
+    assert all(layer.twist > 0 for layer in layers)
+    changed = cg.load(own).with_overrides({"drift_chamber.layers.2.sigma": "0.2 mm"})
+    assert [layer.sigma for layer in changed.drift_chamber.layers] == [0.1, 0.1, 0.2, 0.1]

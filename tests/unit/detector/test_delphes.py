@@ -206,7 +206,9 @@ def test_resolutions_of_a_card_are_those_of_least_squares(tmp_path, p, cos_theta
             matter = {0.35276: "Be", 0.0937: "Si"}.get(x0, "C")
             rows.append((1e3 * r, width / x0, views, matter))
     expected = np.sqrt(np.diag(least_squares(rows, p, cos_theta, 2.0)))
-    found = np.sqrt(np.diag(cg.analytic(cg.load(card(tmp_path)), "mu-", p=p, cos_theta=cos_theta, phi=0.3, fit=MOLIERE).cov))
+    found = np.sqrt(
+        np.diag(cg.analytic(cg.load(card(tmp_path)), "mu-", p=p, cos_theta=cos_theta, phi=0.3, fit=MOLIERE).cov)
+    )
     np.testing.assert_allclose(found[[0, 1, 3, 4]], expected[[0, 1, 3, 4]], rtol=0.01)
     if p > 10:
         assert found[2] == pytest.approx(expected[2], rel=0.01)

@@ -25,8 +25,8 @@ struct GaussianReadout {
   std::uint64_t seed;
 };
 
-// A position in each view of the layer for each truth on the active area of a sheet, ordered by event, layer, sheet,
-// view, and then as the truths. X and V errors are independent.
+// A position in each view of the layer for each truth on the active area of a sheet, ordered by event, layer,
+// sheet, view, and then as the truths. X and V errors are independent.
 DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
                             const GaussianReadout& readout);
 
