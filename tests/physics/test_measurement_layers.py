@@ -73,6 +73,32 @@ def test_expected_resolutions_are_those_of_simulated_tracks(make: Any, cos_theta
     assert simulated["res_kappa"].std() == pytest.approx(float(kappa), rel=0.03)
 
 
+IDEA = cg.Settings(simulate=QUIET.simulate, fit=cg.FitSettings(momentum_error=0.003))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("p", [1.0, 5.0, 50.0])
+@pytest.mark.parametrize("cos_theta", [0.0, 0.4, -0.65])
+def test_pixels_with_a_large_chamber(cos_theta: float, p: float) -> None:
+    """`idea-like` with the finder: all tracks, unit pulls, expected resolutions. Wrong sides of wires make tails."""
+    n = 2000
+    result = run(cg.load("idea-like"), n, p, cos_theta, finder="ckf", settings=IDEA)
+    tracks = result.tracks
+    assert len(tracks) >= 0.995 * n
+    good = tracks["status"] == 0
+    assert good.mean() > 0.99
+    pulls = np.array([tracks[f"pull_{name}"][good] for name in PARAMETERS])
+    np.testing.assert_allclose(0.5 * np.diff(np.quantile(pulls, (0.1587, 0.8413), axis=1), axis=0)[0], 1, atol=0.05)
+    np.testing.assert_allclose(pulls.std(axis=1), 1, atol=0.08)
+    expected = cg.analytic("idea-like", "mu-", p=p, cos_theta=cos_theta, fit=IDEA.fit)
+    for name, one, unit in (
+        ("dr", expected.sigma_dr, 1e3),
+        ("dz", expected.sigma_dz, 1.0),
+        ("p", expected.sigma_p, 1e3),
+    ):
+        assert unit * tracks[f"res_{name}"][good].std() == pytest.approx(float(one), rel=0.05)
+
+
 def test_hits_before_and_behind_a_cgem() -> None:
     result = run(mixed(sigma="10 um"), 500, finder="ckf")
     layers, views = result.clusters["layer"], result.clusters["view"]

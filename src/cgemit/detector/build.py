@@ -6,6 +6,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any
 
@@ -552,8 +553,7 @@ def _generated(
             reader.note(path, f"{len(rows) + one.layers} layers", f"at most {_MOST_WIRE_LAYERS}")
         elif one is not None:
             rows += one.rows()
-            last = rows[-1]["r_mid"]
-            following = last + one.distance(last)
+            following = one.edge(rows[-1]["r_mid"])
     if missing:
         return []
     numbers = ({name: value for name, value in row.items() if name != "r_mid"} for row in rows)
@@ -563,7 +563,7 @@ def _generated(
 def _superlayer(
     reader: Reader, path: str, table: object, siblings: Mapping[str, Any], half_length: object, following: float
 ) -> Superlayer | None:
-    """Return a superlayer, None if it has problems; `following`: the radius behind the one before, NaN without one."""
+    """Return a superlayer, None if it has problems; `following`: where the one before ends, NaN without one."""
     if isinstance(table, Mapping) and half_length is not None:
         table = {"half_length": half_length, **table}
     before = len(reader.problems)
@@ -572,14 +572,16 @@ def _superlayer(
         reader.note(f"{path}.twist", "also stereo", "one of both")
     if "r_in" not in values and math.isnan(following):
         reader.note(path, "no r_in", "the radius of the first layer, since no superlayer is before this one")
-    values.setdefault("r_in", following)
     values.setdefault("spacing", UNUSABLE)
     width = values.pop("cell_width", None)
     if (width is None) == ("cells" not in values):
         reader.note(path, "no cells" if width is None else "both cells and cell_width", "either cells or cell_width")
     elif width is not None:
-        values["cells"] = max(3, _floor(2 * math.pi * values["r_in"] / width + 1e-9))
-    return Superlayer(**values) if len(reader.problems) == before else None
+        values["cells"] = max(3, _floor(2 * math.pi * values.get("r_in", following) / width + 1e-9))
+    if len(reader.problems) > before:
+        return None
+    first = Superlayer(**{"r_in": following, **values})
+    return first if "r_in" in values else replace(first, r_in=first.first_behind(following))
 
 
 def complete_layer(values: dict[str, Any]) -> None:

@@ -49,7 +49,7 @@ def detectors() -> dict[str, str]:
     Examples
     --------
     >>> list(cg.detectors())
-    ['besiii-cgem', 'besiii-cgem-design', 'besiii-idc', 'besiii-idc-boss', 'kloe2-like', 'stcf-like']
+    ['besiii-cgem', 'besiii-cgem-design', 'besiii-idc', 'besiii-idc-boss', 'idea-like', 'kloe2-like', 'stcf-like']
     """
     return {name: _preset_tables(name)["description"] for name in preset_names()}
 

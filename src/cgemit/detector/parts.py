@@ -679,7 +679,7 @@ class Superlayer(Part):
         """Yield r_mid, cells, r_end, half_length, twist_cells and phi_east of each layer.
 
         A wire at radius r at z = 0 with the angle a to the beam ends at r / cos(t), turned by 2 t, with
-        tan t = half_length tan(a) / r, or with the twist 2 t. Without `spacing`, cells are as high as they are wide.
+        tan t = half_length tan(a) / r, or with the twist 2 t.
         """
         r, cell = self.r_in, 2 * math.pi / self.cells
         for number in range(self.layers):
@@ -692,11 +692,15 @@ class Superlayer(Part):
                 "r_mid": r, "cells": self.cells, "r_end": r / math.cos(half), "half_length": self.half_length,
                 "twist_cells": 2 * half / cell, "phi_east": math.remainder(middle + half, 2 * math.pi),
             }  # fmt: skip
-            r += self.distance(r)
+            r = self.first_behind(self.edge(r))
 
-    def distance(self, r: float) -> float:
-        """Return the distance of a layer at r to the next one, mm."""
-        return r * 2 * math.pi / self.cells if math.isnan(self.spacing) else self.spacing
+    def edge(self, r: float) -> float:
+        """Return where the cells of a layer at r end, mm: half a cell behind their wires, or half the spacing."""
+        return r * (1 + math.pi / self.cells) if math.isnan(self.spacing) else r + 0.5 * self.spacing
+
+    def first_behind(self, edge: float) -> float:
+        """Return the radius of the layer whose cells begin at an edge, mm."""
+        return edge / (1 - math.pi / self.cells) if math.isnan(self.spacing) else edge + 0.5 * self.spacing
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -32,7 +32,7 @@ def test_detectors(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("detectors") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [
-        "besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss", "kloe2-like",
+        "besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss", "idea-like", "kloe2-like",
         "stcf-like",
     ]  # fmt: skip
     assert call("detectors", "--json") == 0

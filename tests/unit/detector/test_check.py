@@ -522,8 +522,10 @@ def test_superlayers_are_wire_layers():
     assert [layer.number for layer in layers] == [0, 1, 2, 3, 4]
     assert [layer.cells for layer in layers] == [157] * 3 + [180] * 2  # 2 pi 300/12 = 157.08
     assert [layer.half_length for layer in layers] == [2000] * 3 + [1500] * 2
-    width = 2 * math.pi * 333 / 180  # square cells behind A
-    assert [layer.r_mid for layer in layers] == pytest.approx([300, 311, 322, 333, 333 + width])
+    first = 327.5 / (1 - math.pi / 180)  # square cells behind those of A, which end at 322 + 11/2
+    second = first * (1 + math.pi / 180) / (1 - math.pi / 180)
+    assert [layer.r_mid for layer in layers] == pytest.approx([300, 311, 322, first, second])
+    assert second - first == pytest.approx(math.pi / 180 * (first + second))  # half a cell's width of each
     assert [layer.sigma for layer in layers] == [0.1] * 5
     for layer, angle in zip(layers, (0, 0, 0, 0.06, -0.06), strict=True):
         east, west = (np.array(end) for end in layer.end_points(7))

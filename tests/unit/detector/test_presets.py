@@ -28,7 +28,7 @@ def rows(name: str) -> list[dict[str, str]]:
 
 
 def test_names_and_descriptions() -> None:
-    assert tuple(detectors()) == (*NAMES, "kloe2-like", "stcf-like")
+    assert tuple(detectors()) == (*NAMES, "idea-like", "kloe2-like", "stcf-like")
     for name, description in detectors().items():
         assert len(description) > 20
         assert load(name).name == name
@@ -274,3 +274,22 @@ def test_gas_of_the_chamber_without_axial_wires() -> None:
     assert gas.density == pytest.approx(total / 24_055, rel=1e-3)
     expected = sum(moles[name] / total / x0 for name, x0 in (("He", 94.32), ("C", 42.70), ("H", 63.04)))
     assert 10 / (expected * gas.density) == pytest.approx(gas.x0, rel=0.005)  # mm; g/cm2 of the PDG
+
+
+def test_a_tracker_of_silicon_and_a_chamber() -> None:
+    """Against the numbers of its sources; between the walls fits the chamber."""
+    detector = load("idea-like")
+    assert [layer.radius for layer in detector.layers] == [12, 20, 31.525, 150, 315, 2040, 2060]
+    assert all(layer.material.x0 == pytest.approx(93.7, rel=1e-4) for layer in detector.layers)
+    assert [detector.layer[label].errors for label in ("VTX4", "VTX5", "WRAP2")] == [
+        (0.003, 0.003), (0.007, 0.007), (0.007, 0.09)
+    ]  # fmt: skip
+    layers = detector.drift_chamber.layers
+    assert (len(layers), sum(layer.cells for layer in layers)) == (112, 56448)
+    assert layers[0].r_mid == 362
+    assert detector.walls["inner"].r_out < layers[0].r_mid - 5
+    assert layers[-1].r_end < 1987.5 < detector.walls["outer"].r_in  # the guard wires of the source
+    walls = [100 * (part.r_out - part.r_in) / part.material.x0 for part in detector.walls]
+    assert walls == pytest.approx([100 * 0.2 / 237.223, 100 * 20 / 1667])
+    pipe = detector.beam_pipe[0]
+    assert (pipe.r_out - pipe.r_in) / pipe.material.x0 == pytest.approx(2.35 / 352.76, rel=1e-3)
