@@ -65,7 +65,7 @@ def core_detector(cgem=None, wires=None, bz=-1.0):
         slabs=slabs,
         log_terms=np.empty((0, _core.LOSS_POINTS)),
         composition={"first": np.zeros(1, "i4")} | {name: np.empty(0) for name in ("z", "a", "moles")},
-        cgem=design_layers() if cgem is None else cgem,
+        layers=design_layers() if cgem is None else cgem,
         wires=wire_layers() if wires is None else wires,
         screening=_core.Screening.wentzel,
     )

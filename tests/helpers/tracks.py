@@ -8,7 +8,7 @@ import numpy as np
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled, slab_table, slabs
-from cgemit.detector.core import cgem_table, compiled_field, wire_table
+from cgemit.detector.core import compiled_field, layer_table, wire_table
 from cgemit.particles.species import species
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.tables import Table
@@ -67,7 +67,7 @@ def without_matter(detector: Detector, density=0.0):
     composition = table.composition | {"moles": density * table.composition["moles"]}
     return _core.Detector(
         bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=composition,
-        cgem=cgem_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+        layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
         field=compiled_field(detector),
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ import cgemit as cg
 from cgemit import _core
 from cgemit.covariance import tracks
 from cgemit.covariance.tracks import core_width
-from cgemit.detector.core import Columns, cgem_table, slab_table, wire_table
+from cgemit.detector.core import Columns, layer_table, slab_table, wire_table
 from cgemit.detector.matter import Slab, slabs
 from cgemit.helix import RADIUS_PER_KAPPA
 from slabs import MUON
@@ -88,7 +88,7 @@ def matter(found: list[Slab], wires: Columns, detector: cg.Detector, p: float, c
         carbon = {"first": one, "z": np.full(len(x0), 6.0), "a": np.full(len(x0), 12.0), "moles": moles}
         core = _core.Detector(
             bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=carbon,
-            cgem=cgem_table(detector.cgem), wires=wires, screening=_core.Screening.wentzel,
+            layers=layer_table(detector.cgem), wires=wires, screening=_core.Screening.wentzel,
         )  # fmt: skip
         totals = _core.total_matter(core, cos_theta * sec)[2:]
         now = [

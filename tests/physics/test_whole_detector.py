@@ -7,7 +7,7 @@ import pytest
 
 from cgemit import _core
 from cgemit.detector import compiled, load, slab_table, slabs
-from cgemit.detector.core import cgem_table, wire_table
+from cgemit.detector.core import layer_table, wire_table
 from cgemit.reconstruction.fit import FitSettings
 from stats import assert_within
 from tracks import MUON, hits_on
@@ -49,7 +49,7 @@ def test_the_gate_sees_lost_matter():
     detector = load("besiii-cgem-design")
     table = slab_table(slabs(detector))
     lossy = _core.Detector(
-        bz=-1.0, slabs=table.slabs, log_terms=table.log_terms, cgem=cgem_table(detector.cgem),
+        bz=-1.0, slabs=table.slabs, log_terms=table.log_terms, layers=layer_table(detector.cgem),
         composition=table.composition | {"moles": 0.97 * table.composition["moles"]},
         wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
     )  # fmt: skip
@@ -61,7 +61,7 @@ def part_of_the_matter(screening, gas):
     detector = load("besiii-cgem-design")
     table = slab_table([slab for slab in slabs(detector) if slab.ends == gas])
     return _core.Detector(
-        bz=-1.0, **table._asdict(), cgem=cgem_table(detector.cgem), wires=wire_table(detector.drift_chamber),
+        bz=-1.0, **table._asdict(), layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),
     )  # fmt: skip
 

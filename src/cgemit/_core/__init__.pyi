@@ -157,7 +157,7 @@ class Detector:
         slabs: _Columns,
         log_terms: npt.ArrayLike,
         composition: _Columns,
-        cgem: _Columns,
+        layers: _Columns,
         wires: Chamber | _Columns,
         screening: Screening,
         lattice: _Columns = {},
@@ -177,7 +177,7 @@ class Detector:
     @property
     def n_slabs(self) -> int: ...
     @property
-    def n_cgem_layers(self) -> int: ...
+    def n_layers(self) -> int: ...
     @property
     def n_wire_layers(self) -> int: ...
 

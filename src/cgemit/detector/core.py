@@ -400,7 +400,7 @@ def _made(
     return _core.Detector(
         bz=detector.field.bz,
         **table._asdict(),
-        cgem=cgem_table(detector.layers),
+        layers=layer_table(detector.layers),
         wires=_placed(detector.drift_chamber) if detector.drift_chamber else wire_table(None),
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
@@ -440,13 +440,13 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
     return _core.Detector(
         bz=0.0,
         **slab_table(found)._asdict(),
-        cgem=cgem_table(()),
+        layers=layer_table(()),
         wires=wire_table(None),
         screening=getattr(_core.Screening, screening),
     )
 
 
-def cgem_table(layers: Sequence[Layer]) -> Columns:
+def layer_table(layers: Sequence[Layer]) -> Columns:
     """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "stereo", "offset_v", "dead_seam", "dead_ends")
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
@@ -517,7 +517,7 @@ def strip_view(detector: Detector) -> StripView:
     layer = np.flatnonzero([isinstance(one, CgemLayer) for one in detector.layers]).astype(np.int32)
     number = np.full(len(detector.layers), -1, np.int32)
     number[layer] = np.arange(len(layer))
-    gid = np.subtract(cgem_table(detector.layers)["gid_first"][layer], cgem_table(alone.cgem)["gid_first"])
+    gid = np.subtract(layer_table(detector.layers)["gid_first"][layer], layer_table(alone.cgem)["gid_first"])
     return StripView(alone, number, layer, gid.astype(np.int32))
 
 

@@ -329,6 +329,22 @@ def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Sla
         start = inside[-1].r_out if inside else first_wire
         walls = tuple((slab.r_in, slab.r_out) for slab in solid if slab.r_in > start - TOUCH)
         found += _chamber_gas(_gas(chamber), start, walls, merge)
+        found += _behind(detector, chamber, solid)
+    return found
+
+
+def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) -> list[Slab]:
+    """Return the gas from the outermost wires to the part behind them, and air between the parts from there on."""
+    last = chamber.layers[-1]
+    outside = [slab for slab in solid if slab.r_in > last.r_mid - TOUCH]
+    found = []
+    if outside and outside[0].r_in - last.r_mid > TOUCH:
+        text = f"gas behind layer {last.number}"
+        shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.half_length, chamber.gas)
+        found.append(Slab((shell,), ends=True))
+    for inner, outer in pairwise(outside):
+        if outer.r_in - inner.r_out > TOUCH:
+            found.append(_air(inner.r_out, outer.r_in, detector.air))
     return found
 
 

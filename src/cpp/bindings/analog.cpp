@@ -29,7 +29,7 @@ std::vector<LayerDrift> layer_drift(const py::dict& table, const Detector& detec
                                              "cloud_phi", "cloud_z",     "hole_pitch", "w_value"};
   std::array<std::span<const double>, 14> columns;
   for (std::size_t k = 0; k < names.size(); ++k) columns[k] = in.get<double>(names[k]);
-  if (columns[0].size() != detector.cgem.size()) {
+  if (columns[0].size() != detector.layers.size()) {
     throw std::invalid_argument("drift: expected one row for each CGEM layer");
   }
   std::vector<LayerDrift> found;
@@ -176,7 +176,7 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
       .physics = electron_physics(physics),
       .chip = chip(chip_values),
       .share_spread = share_spread,
-      .induced = induced_charge(way, induced.first, induced.second, 2 * detector.cgem.size()),
+      .induced = induced_charge(way, induced.first, induced.second, 2 * detector.layers.size()),
       .seed = seed};
   check(readout);
   const GainMaps gains = gain_maps(detector, gain_table);

@@ -55,7 +55,7 @@ py::dict noisy_strips(const Detector& detector, const Array<std::int64_t>& event
                       const Array<double>& hot_fires, std::uint64_t seed) {
   const auto event = column(events, "events");
   const StripNoise noise{
-      .clusters = column(clusters, "clusters", static_cast<py::ssize_t>(detector.cgem.size())),
+      .clusters = column(clusters, "clusters", static_cast<py::ssize_t>(detector.layers.size())),
       .most_strips = most_strips,
       .single = single,
       .charge = charge,

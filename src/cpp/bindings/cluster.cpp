@@ -33,7 +33,7 @@ py::dict of_strips(const Detector& detector, const py::dict& table, const Array<
                    std::int32_t bridge) {
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
-  const auto layers = static_cast<py::ssize_t>(detector.cgem.size());
+  const auto layers = static_cast<py::ssize_t>(detector.layers.size());
   const py::ssize_t sizes = err_x.ndim() == 2 ? err_x.shape(1) : 0;
   if (sizes < 1) throw std::invalid_argument("err_x: expected shape (layers, sizes)");
   const ErrorTable errors{matrix(err_x, "err_x", layers, sizes), matrix(err_v, "err_v", layers, sizes),
@@ -52,7 +52,7 @@ py::dict of_positions(const Detector& detector, const py::dict& table, const Arr
   Inputs in(table, "event");
   DigiView digis = digi_view(in);
   digis.position = in.get<double>("position");
-  const auto layers = static_cast<py::ssize_t>(detector.cgem.size());
+  const auto layers = static_cast<py::ssize_t>(detector.layers.size());
   const auto x = column(err_x, "err_x", layers), v = column(err_v, "err_v", layers);
   ClusterColumns found;
   {
@@ -67,7 +67,7 @@ std::vector<LayerTiming> layer_timing(const py::dict& table, const Detector& det
   Inputs in(table, "velocity");
   const auto velocity = in.get<double>("velocity"), tan_lorentz = in.get<double>("tan_lorentz"),
              shift = in.get<double>("shift"), delay = in.get<double>("delay");
-  if (velocity.size() != detector.cgem.size()) {
+  if (velocity.size() != detector.layers.size()) {
     throw std::invalid_argument("timing: expected one row for each CGEM layer");
   }
   std::vector<LayerTiming> found;
@@ -137,7 +137,7 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   Inputs in(table, "event");
   const DigiView digis = digi_view(in);
   const std::vector<LayerTiming> layers = layer_timing(timing, detector);
-  const std::size_t n = detector.cgem.size();
+  const std::size_t n = detector.layers.size();
   const auto rows = static_cast<py::ssize_t>(n);
   const std::vector<PlaneErrors> by_plane = plane_errors(planes, 2 * n);
   const auto array = [](const py::dict& from, const char* name) { return from[name].cast<Array<double>>(); };

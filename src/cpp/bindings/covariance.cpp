@@ -55,11 +55,11 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                          const std::vector<const Detector*>& variants) {
   const HitModel model = hit_model(model_values);
   const auto n = phi.size();
-  const auto views = static_cast<py::ssize_t>(2 * detector.cgem.size());
+  const auto views = static_cast<py::ssize_t>(2 * detector.layers.size());
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
     throw std::invalid_argument("samples: expected a divisor of the number of tracks");
   for (const auto* number : {&model.sigma_x, &model.sigma_v, &model.corr_xv})
-    if (model.cos_theta.empty() || number->size() != detector.cgem.size() * model.cos_theta.size())
+    if (model.cos_theta.empty() || number->size() != detector.layers.size() * model.cos_theta.size())
       throw std::invalid_argument(
           "sigma_x, sigma_v, corr_xv: expected a number for each CGEM layer and cos_theta");
   for (const Detector* variant : variants)

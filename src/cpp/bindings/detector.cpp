@@ -84,7 +84,7 @@ void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
   }
 }
 
-std::vector<CgemLayer> make_cgem(const py::dict& columns) {
+std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
   const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
              r_gap_out = take<double>(columns, "r_gap_out"),
              half_length = take<double>(columns, "half_length"), pitch_x = take<double>(columns, "pitch_x"),
@@ -102,10 +102,10 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends"),
              lorentz_shift = take<double>(columns, "lorentz_shift");
   const auto has_x = take<std::uint8_t>(columns, "has_x"), has_v = take<std::uint8_t>(columns, "has_v");
-  std::vector<CgemLayer> layers(n);
+  std::vector<MeasuringLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
     if (sheets.at(i) < 1 || sheets.at(i) > most)
-      throw std::invalid_argument("cgem sheets: expected 1 to " + std::to_string(most) +
+      throw std::invalid_argument("layer sheets: expected 1 to " + std::to_string(most) +
                                   ", the columns of phi_first, " + std::to_string(most_sheets) + " at most");
     layers[i] = {r_readout.at(i),
                  r_gap_in.at(i),
@@ -134,13 +134,13 @@ std::vector<CgemLayer> make_cgem(const py::dict& columns) {
   return layers;
 }
 
-void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const std::vector<CgemLayer>& cgem,
-           std::size_t gaps) {
+void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
+           const std::vector<MeasuringLayer>& layers, std::size_t gaps) {
   constexpr double most_strips = 1e9;
   if (!std::isfinite(bz)) problems.add("bz: got " + to_text(bz) + ", expected a finite number");
-  if (gaps != 0 && gaps != cgem.size())
+  if (gaps != 0 && gaps != layers.size())
     problems.add("gaps: got " + std::to_string(gaps) + ", expected one for each of " +
-                 std::to_string(cgem.size()) + " CGEM layers");
+                 std::to_string(layers.size()) + " layers");
   for (std::size_t i = 0; i < slabs.size(); ++i) {
     const Part part(problems, "slab", i);
     part.within("r_in", slabs[i].r_in, 0, far);
@@ -150,7 +150,7 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const 
     part.within("half_length", slabs[i].half_length, 0, HUGE_VAL);
     part.within("x0", slabs[i].x0, 0, far);
     part.within("xi", slabs[i].xi, 0, far);
-    part.within("gap", slabs[i].gap, -1, static_cast<double>(cgem.size()) - 1);
+    part.within("gap", slabs[i].gap, -1, static_cast<double>(layers.size()) - 1);
     for (const SlabPoint& point : slabs[i].table) part.within("log_terms", point.log_term, -far, far);
     for (const Component& one : slabs[i].components) {
       part.within("z", one.z, tiny, far);
@@ -158,24 +158,24 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs, const 
       part.within("moles", one.moles, 0, far);
     }
   }
-  for (std::size_t i = 0; i < cgem.size(); ++i) {
-    const Part part(problems, "cgem", i);
-    part.within("r_gap_in", cgem[i].r_gap_in, tiny, far);
-    part.within("r_gap_out", cgem[i].r_gap_out, cgem[i].r_gap_in, far);
-    part.within("r_readout", cgem[i].r_readout, tiny, far);
-    part.within("half_length", cgem[i].half_length, tiny, far);
-    part.within("pitch_x", cgem[i].pitch_x, tiny, far);
-    part.within("pitch_v", cgem[i].pitch_v, tiny, far);
-    part.within("stereo", std::abs(cgem[i].stereo), tiny, pi);
-    part.within("offset_v", cgem[i].offset_v, -far, far);
-    part.within("dead_seam", cgem[i].dead_seam, 0, far);
-    part.within("dead_ends", cgem[i].dead_ends, 0, far);
-    part.within("lorentz_shift", cgem[i].lorentz_shift, -far, far);
-    part.within("strips_x", cgem[i].strips_x, 1, most_strips);
-    part.within("strips_v", cgem[i].strips_v, 1, most_strips);
-    for (const double phi : cgem[i].phi_first) part.within("phi_first", phi, -far, far);
-    for (const double shift : cgem[i].placement.shift) part.within("placement", shift, -far, far);
-    for (const double one : cgem[i].placement.turn) part.within("placement", one, -1, 1);
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    const Part part(problems, "layer", i);
+    part.within("r_gap_in", layers[i].r_gap_in, tiny, far);
+    part.within("r_gap_out", layers[i].r_gap_out, layers[i].r_gap_in, far);
+    part.within("r_readout", layers[i].r_readout, tiny, far);
+    part.within("half_length", layers[i].half_length, tiny, far);
+    part.within("pitch_x", layers[i].pitch_x, tiny, far);
+    part.within("pitch_v", layers[i].pitch_v, tiny, far);
+    part.within("stereo", std::abs(layers[i].stereo), tiny, pi);
+    part.within("offset_v", layers[i].offset_v, -far, far);
+    part.within("dead_seam", layers[i].dead_seam, 0, far);
+    part.within("dead_ends", layers[i].dead_ends, 0, far);
+    part.within("lorentz_shift", layers[i].lorentz_shift, -far, far);
+    part.within("strips_x", layers[i].strips_x, 1, most_strips);
+    part.within("strips_v", layers[i].strips_v, 1, most_strips);
+    for (const double phi : layers[i].phi_first) part.within("phi_first", phi, -far, far);
+    for (const double shift : layers[i].placement.shift) part.within("placement", shift, -far, far);
+    for (const double one : layers[i].placement.turn) part.within("placement", one, -1, 1);
   }
 }
 
@@ -205,13 +205,13 @@ void bind_detector(py::module_& module) {
   py::class_<Detector>(module, "Detector",
                        "The detector as plain numbers, ordered from the beam line outward.")
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
-                       const py::dict& composition, const py::dict& cgem,
+                       const py::dict& composition, const py::dict& layer_columns,
                        const std::variant<Chamber, py::dict>& wires, Screening screening,
                        const py::dict& lattice, const py::list& gaps, CoreLoss loss, bool radiation,
                        const std::optional<FieldMap>& field, bool simulated, double momentum_error) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
-             std::vector<CgemLayer> layers = make_cgem(cgem);
+             std::vector<MeasuringLayer> layers = make_measuring_layers(layer_columns);
              const py::dict* columns = std::get_if<py::dict>(&wires);
              std::vector<WireLayer> unplaced =
                  columns != nullptr ? make_wires(*columns) : std::vector<WireLayer>();
@@ -231,7 +231,7 @@ void bind_detector(py::module_& module) {
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
-           py::arg("cgem"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
+           py::arg("layers"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
            py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
            py::arg("radiation") = true, py::arg("field") = py::none(), py::arg("simulated") = true,
            py::arg("momentum_error") = usual_momentum_error)
@@ -242,6 +242,6 @@ void bind_detector(py::module_& module) {
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
-      .def_property_readonly("n_cgem_layers", [](const Detector& d) { return d.cgem.size(); })
+      .def_property_readonly("n_layers", [](const Detector& d) { return d.layers.size(); })
       .def_property_readonly("n_wire_layers", [](const Detector& d) { return d.wires.size(); });
 }

@@ -17,7 +17,7 @@ namespace {
 
 // One number per CGEM layer.
 std::span<const double> per_layer(const Array<double>& w_values, const Detector& detector) {
-  return column(w_values, "w_values", static_cast<py::ssize_t>(detector.cgem.size()));
+  return column(w_values, "w_values", static_cast<py::ssize_t>(detector.layers.size()));
 }
 
 py::dict strips(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
@@ -40,7 +40,7 @@ std::vector<PositionErrors> position_errors(const py::dict& table, const Detecto
   Inputs in(table, "sigma_x");
   const auto x = in.get<double>("sigma_x"), v = in.get<double>("sigma_v"),
              efficiency = in.get<double>("efficiency"), time = in.get<double>("sigma_time");
-  if (x.size() != detector.cgem.size())
+  if (x.size() != detector.layers.size())
     throw std::invalid_argument("errors: expected one row for each layer");
   std::vector<PositionErrors> found;
   for (std::size_t i = 0; i < x.size(); ++i) found.push_back({x[i], v[i], efficiency[i], time[i]});

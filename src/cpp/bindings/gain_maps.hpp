@@ -10,7 +10,7 @@ inline GainMaps gain_maps(const Detector& detector, const py::dict& table) {
   if (table.empty()) return {};
   const auto shape = take<std::int32_t>(table, "shape");
   const auto values = take<double>(table, "values");
-  return {detector, column(shape, "shape", static_cast<py::ssize_t>(2 * detector.cgem.size())),
+  return {detector, column(shape, "shape", static_cast<py::ssize_t>(2 * detector.layers.size())),
           column(values, "values", values.size())};
 }
 

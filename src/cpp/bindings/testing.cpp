@@ -143,7 +143,7 @@ const GapMatter& gap_of(const Detector& detector, int layer) {
 
 // A straight track that enters the gap at azimuth 0 and z = 0.
 GapCrossing straight_crossing(const Detector& detector, int layer, double tanl, double slope) {
-  const CgemLayer& at = detector.cgem.at(static_cast<std::size_t>(layer));
+  const MeasuringLayer& at = detector.layers.at(static_cast<std::size_t>(layer));
   const double across = slope / std::sqrt(1 + slope * slope);
   HelixPoint entry{at.r_gap_in, 0, 0, std::sqrt(1 - across * across), across, tanl, 0};
   HelixPoint exit = entry;
@@ -258,9 +258,9 @@ py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z
                         .reach = induced.second,
                         .charge = {induced.first.data(), static_cast<std::size_t>(induced.first.size())}};
   std::ranges::copy(column(way, "way", InducedCharge::nodes), charges.way.begin());
-  StripSignals<Widest> signals(detector.cgem.at(layer), layer, detector.cgem.size(), charges, duration);
+  StripSignals<Widest> signals(detector.layers.at(layer), layer, detector.layers.size(), charges, duration);
   signals.begin(0, duration);
-  induce_on_layer(detector.cgem.at(layer), phi, z, {sigma_x, sigma_z}, {whole, whole}, signals.transit(7.3),
+  induce_on_layer(detector.layers.at(layer), phi, z, {sigma_x, sigma_z}, {whole, whole}, signals.transit(7.3),
                   signals);
   signals.close(0);
   std::vector<std::int32_t> sheet, view, strip;

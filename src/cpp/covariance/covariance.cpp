@@ -8,7 +8,7 @@
 namespace cgemit {
 
 bool same_surfaces(const Detector& a, const Detector& b) {
-  return a.cgem.size() == b.cgem.size() && a.field.is_uniform() == b.field.is_uniform() &&
+  return a.layers.size() == b.layers.size() && a.field.is_uniform() == b.field.is_uniform() &&
          std::ranges::equal(a.surfaces, b.surfaces, [](const Surface& one, const Surface& other) {
            return one.is_slab == other.is_slab && one.index == other.index;
          });

@@ -51,15 +51,15 @@ using BudgetTerm = std::array<double, budget_entries>;
 // Terms of the budget: X and V of every CGEM layer, every layer of wires, scattering and straggling of every
 // slab, the filter's prior.
 struct BudgetTerms {
-  std::size_t cgem, wires, slabs;
+  std::size_t layers, wires, slabs;
 
   explicit BudgetTerms(const Detector& detector)
-      : cgem(detector.cgem.size()), wires(detector.wires.size()), slabs(detector.slabs.size()) {}
+      : layers(detector.layers.size()), wires(detector.wires.size()), slabs(detector.slabs.size()) {}
   std::size_t cluster(std::size_t layer, View view) const { return 2 * layer + (view == View::v ? 1 : 0); }
-  std::size_t wire(std::size_t layer) const { return 2 * cgem + layer; }
-  std::size_t scattering(std::size_t slab) const { return 2 * cgem + wires + 2 * slab; }
+  std::size_t wire(std::size_t layer) const { return 2 * layers + layer; }
+  std::size_t scattering(std::size_t slab) const { return 2 * layers + wires + 2 * slab; }
   std::size_t straggling(std::size_t slab) const { return scattering(slab) + 1; }
-  std::size_t prior() const { return 2 * cgem + wires + 2 * slabs; }
+  std::size_t prior() const { return 2 * layers + wires + 2 * slabs; }
   std::size_t size() const { return prior() + 1; }
 };
 
@@ -74,7 +74,7 @@ struct CovarianceRow {
 // A hit that a track is expected to leave, on its reference trajectory.
 struct ExpectedHit {
   View view;
-  std::int32_t layer;    // index into the detector's cgem or wires
+  std::int32_t layer;    // index into the detector's layers or wires
   std::int32_t channel;  // sheet or wire
   double value;          // mm, X, V - k x or signed distance from the wire
   double variance;       // mm^2

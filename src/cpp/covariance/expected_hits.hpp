@@ -61,7 +61,7 @@ class ExpectedHits {
     if (slab.gap < 0) return;
     const auto index = static_cast<std::size_t>(slab.gap);
     if (again_) return repeat(step, at);
-    const CgemLayer& layer = detector_.cgem[index];
+    const MeasuringLayer& layer = detector_.layers[index];
     const Mask within = reached & inside_ & (abs(at.z) <= layer.half_length - layer.dead_ends);
     if (!any(within)) return;
     const double dead = 0.5 * layer.dead_seam;
@@ -151,14 +151,14 @@ class ExpectedHits {
   }
   std::size_t sample(int lane) const { return track(lane) % input_.samples; }
 
-  static T along_sheet(const CgemLayer& layer, const T& phi, const T& edge) {
+  static T along_sheet(const MeasuringLayer& layer, const T& phi, const T& edge) {
     const T turned = phi - edge;
     return layer.r_readout * select(turned < 0.0, turned + 2 * pi, turned);
   }
 
   Slot<T>& add_cluster(GroupStep& step, View view, std::size_t index, const Mask& there, const T& edge,
                        const T& phi, const T& z) {
-    const CgemLayer& layer = detector_.cgem[index];
+    const MeasuringLayer& layer = detector_.layers[index];
     const T x = along_sheet(layer, phi, edge);
     Slot<T>& slot = add(step, view, index);
     slot.there = there;
@@ -239,7 +239,7 @@ class ExpectedHits {
     for (int i = 0; i < lanes_of<T>; ++i) {
       const Stream stream(model_.seed, sample(i), 0);
       const double drawn = open_unit(stream.block(Purpose::ionization, static_cast<std::uint32_t>(index))[0]);
-      set_lane(fired, i, drawn <= input_.efficiencies[track(i) * detector_.cgem.size() + index]);
+      set_lane(fired, i, drawn <= input_.efficiencies[track(i) * detector_.layers.size() + index]);
     }
     return fired;
   }
@@ -258,7 +258,7 @@ class ExpectedHits {
     const auto index = static_cast<std::size_t>(slot.layer);
     if (given_.has(slot.view, index)) return given_.variance(slot.view, index);
     const bool is_x = slot.view == View::x;
-    const std::size_t views = 2 * detector_.cgem.size(), view = 2 * index + (is_x ? 0 : 1);
+    const std::size_t views = 2 * detector_.layers.size(), view = 2 * index + (is_x ? 0 : 1);
     const T phase = gathered<T>([&](int i) { return input_.phases[views * sample(i) + view]; });
     const auto [whole, part] = touched(slot.extent, pitch(slot));
     return error_of_size(slot, whole + select(phase < part, T(2.0), T(1.0)));
@@ -274,7 +274,7 @@ class ExpectedHits {
     return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, model_.delta_strips);
   }
   double pitch(const Slot<T>& slot) const {
-    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
+    const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(slot.layer)];
     return slot.view == View::x ? layer.pitch_x : layer.pitch_v;
   }
 

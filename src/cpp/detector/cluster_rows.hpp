@@ -40,13 +40,13 @@ struct ClusterRow {
 
 // Sets the azimuth of a row from its x and err_x. The azimuth is also valid at mid-gap: charge is projected
 // to the read-out at unchanged phi and z.
-inline void set_azimuth(const CgemLayer& layer, ClusterRow& row) {
+inline void set_azimuth(const MeasuringLayer& layer, ClusterRow& row) {
   row.phi = azimuth(layer, row.sheet, row.x);
   row.err_phi = row.err_x / layer.r_readout;
 }
 
 // The XV row of an X and a V row of one sheet; z from V = X cos + (z_ref - z) sin, errors uncorrelated.
-inline ClusterRow join_views(const CgemLayer& layer, const ClusterRow& x, const ClusterRow& v,
+inline ClusterRow join_views(const MeasuringLayer& layer, const ClusterRow& x, const ClusterRow& v,
                              std::int64_t x_row, std::int64_t v_row, double score = 0) {
   ClusterRow joined = x;
   joined.view = ClusterView::xv;

@@ -45,16 +45,16 @@ void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
   }
 }
 
-Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
+Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<MeasuringLayer> layers,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps) {
   const double bz = field.bz;
   Detector detector{
-      bz, std::move(field), std::move(slabs), std::move(cgem), std::move(wires), std::move(gaps), {}, {}};
+      bz, std::move(field), std::move(slabs), std::move(layers), std::move(wires), std::move(gaps), {}, {}};
   for (Slab& slab : detector.slabs) {
     slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);
     slab.shifts = slab.spread * 13.6 * MeV * std::sqrt(slab.x0) > 5 * um;
   }
-  for (CgemLayer& layer : detector.cgem) {
+  for (MeasuringLayer& layer : detector.layers) {
     layer.cos_stereo = std::cos(layer.stereo);
     layer.sin_stereo = std::sin(layer.stereo);
   }

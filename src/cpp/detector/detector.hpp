@@ -94,7 +94,7 @@ inline constexpr int most_sheets = 8;  // of a layer
 
 // One cylindrical layer with its read-out, of two views or one: a GEM layer, or a sensor that measures
 // positions.
-struct CgemLayer {
+struct MeasuringLayer {
   double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
   double r_gap_in;     // mm, cathode side of the drift gap, or inner face of the sensor
   double r_gap_out;    // mm, first foil, or outer face of the sensor
@@ -183,9 +183,9 @@ struct Detector {
   double bz;       // T, signed, at the origin
   FieldMap field;  // everywhere
   std::vector<Slab> slabs;
-  std::vector<CgemLayer> cgem;
+  std::vector<MeasuringLayer> layers;
   std::vector<WireLayer> wires;
-  std::vector<GapMatter> gaps;    // one per layer in `cgem`; if empty, no electrons are followed
+  std::vector<GapMatter> gaps;    // one per layer; if empty, no electrons are followed
   std::vector<Surface> surfaces;  // by radius
   LossCuts loss;
 };
@@ -194,7 +194,7 @@ struct Detector {
 void place_wires(std::vector<WireLayer>& layers, const Placement& chamber);
 
 // Computes the quantities that follow from the rest of the description; `wires` are in place.
-Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<CgemLayer> cgem,
+Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<MeasuringLayer> layers,
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps);
 
 }  // namespace cgemit

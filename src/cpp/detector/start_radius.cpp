@@ -34,7 +34,7 @@ Detector beginning_at(const Detector& detector, double radius) {
   for (Slab& slab : slabs)
     if (slab.radius < std::abs(radius)) weigh(slab, radius > 0 ? 0 : 2);
   Detector begun =
-      make_detector(detector.field, std::move(slabs), detector.cgem, detector.wires, detector.gaps);
+      make_detector(detector.field, std::move(slabs), detector.layers, detector.wires, detector.gaps);
   begun.loss = detector.loss;
   return begun;
 }

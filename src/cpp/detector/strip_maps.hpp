@@ -13,11 +13,11 @@
 
 namespace cgemit {
 
-inline int strips_of(const CgemLayer& layer) { return layer.sheets * (layer.strips_x + layer.strips_v); }
+inline int strips_of(const MeasuringLayer& layer) { return layer.sheets * (layer.strips_x + layer.strips_v); }
 inline int strips_of(const Detector& detector) {
-  return detector.cgem.empty() ? 0 : detector.cgem.back().gid_first + strips_of(detector.cgem.back());
+  return detector.layers.empty() ? 0 : detector.layers.back().gid_first + strips_of(detector.layers.back());
 }
-inline int gid_of(const CgemLayer& layer, int sheet, int view, int strip) {
+inline int gid_of(const MeasuringLayer& layer, int sheet, int view, int strip) {
   return layer.gid_first + sheet * (layer.strips_x + layer.strips_v) + (view == 0 ? 0 : layer.strips_x) +
          strip;
 }
@@ -65,13 +65,13 @@ class GainMaps {
   // `shape`: rows and columns of each layer's grids, 0 without; `values`: sheet by sheet, row by row.
   GainMaps(const Detector& detector, std::span<const std::int32_t> shape, std::span<const double> values) {
     if (shape.empty()) return;
-    if (shape.size() != 2 * detector.cgem.size()) {
+    if (shape.size() != 2 * detector.layers.size()) {
       throw std::invalid_argument("gain_shape: expected rows and columns of each CGEM layer");
     }
     std::size_t first = 0;
-    for (std::size_t i = 0; i < detector.cgem.size(); ++i) {
+    for (std::size_t i = 0; i < detector.layers.size(); ++i) {
       const std::int32_t rows = shape[2 * i], columns = shape[2 * i + 1];
-      const auto n = static_cast<std::size_t>(detector.cgem[i].sheets) * static_cast<std::size_t>(rows) *
+      const auto n = static_cast<std::size_t>(detector.layers[i].sheets) * static_cast<std::size_t>(rows) *
                      static_cast<std::size_t>(columns);
       if (rows < 0 || columns < 0 || first + n > values.size()) {
         throw std::invalid_argument("gain: expected rows times columns numbers for each sheet");
@@ -86,7 +86,7 @@ class GainMaps {
   // At a point of the anode; 1 off the sheets.
   double at(const Detector& detector, std::size_t layer, double phi, double z) const {
     if (grids_.empty() || grids_[layer].values.empty()) return 1;
-    const CgemLayer& plane = detector.cgem[layer];
+    const MeasuringLayer& plane = detector.layers[layer];
     for (int sheet = 0; sheet < plane.sheets; ++sheet) {
       const double across = local_x(plane, sheet, phi) / plane.sheet_width();
       if (across < 1) return cell(grids_[layer], sheet, across, 0.5 * (z / plane.half_length + 1));

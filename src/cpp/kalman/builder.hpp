@@ -12,7 +12,7 @@ template <class T>
 class GroupBuilder {
  public:
   explicit GroupBuilder(const Detector& detector)
-      : detector_(detector), gap_step_(detector.cgem.size(), -1), wire_step_(detector.wires.size(), -1) {
+      : detector_(detector), gap_step_(detector.layers.size(), -1), wire_step_(detector.wires.size(), -1) {
     std::int32_t slabs = 0;
     for (const Surface& surface : detector.surfaces) {
       const auto index = static_cast<std::size_t>(surface.index);
@@ -124,7 +124,7 @@ class GroupBuilder {
     set_lane(slot.drift, k, hit.value);
     set_lane(slot.noise, k, hit.sigma * hit.sigma);
     if (hit.view != View::wire) {
-      const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(hit.layer)];
+      const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(hit.layer)];
       set_lane(slot.size, k, hit.size);
       set_lane(slot.k, k, hit.k);
       set_lane(slot.x, k, hit.x);

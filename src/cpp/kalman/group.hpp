@@ -23,7 +23,7 @@ enum class View : std::uint8_t { x = 0, v = 1, wire = 2 };
 // One scalar measurement. Ordered from the beam line outward within a track.
 struct Hit {
   View view;
-  std::int32_t layer;    // index into the detector's cgem or wires
+  std::int32_t layer;    // index into the detector's layers or wires
   std::int32_t channel;  // sheet or wire
   std::int32_t size;     // strips in the cluster; 0: no strips
   double value;          // mm: X or V on the sheet, or drift distance
@@ -37,7 +37,7 @@ struct Hit {
 template <class T>
 struct Slot {
   View view;
-  std::int32_t layer;  // index into the detector's cgem or wires
+  std::int32_t layer;  // index into the detector's layers or wires
   // Number among the track's hits, -1: none; of an expected hit (`covariance/`) its channel.
   std::array<std::int32_t, lanes_of<T>> hit;
   mask_of<T> there;

@@ -127,7 +127,7 @@ class Tracer {
   }
 
   CGEMIT_FLATTEN void meet_gap(Slot<T>& slot, mask_of<T> reached) {
-    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slot.layer)];
+    const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(slot.layer)];
     const HelixPointOf<T>& at = motion_.point();
     const Rows<T> r = motion_.rows();
     const T radius = at.radius(), outward = at.outward();

@@ -11,7 +11,7 @@ from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
 from cgemit.detector import CgemLayer, Detector, compiled, detectors, load, slab_table, slabs
 from cgemit.detector import core as compiling
-from cgemit.detector.core import cgem_table, wire_table
+from cgemit.detector.core import layer_table, wire_table
 from cgemit.detector.matter import _compiled
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings
@@ -163,7 +163,7 @@ def test_smeared_wires_add_their_matter() -> None:
 
 
 def test_readout_and_wire_tables() -> None:
-    cgem, wires = cgem_table(DESIGN.cgem), wire_table(load("besiii-idc").drift_chamber)
+    cgem, wires = layer_table(DESIGN.cgem), wire_table(load("besiii-idc").drift_chamber)
     assert cgem["r_readout"].tolist() == [87.5, 132.5, 175.0]
     assert cgem["half_length"].tolist() == [266, 345, 423.5]
     assert cgem["phi_first"] == pytest.approx(np.array([[math.pi, math.pi], [math.pi, 0], [math.pi, 0]]))
@@ -179,7 +179,7 @@ def test_core_takes_it(name: str) -> None:
     core = compiled(detector)
     assert core.bz == detector.field.bz
     assert core.n_slabs == len(slabs(detector))
-    assert core.n_cgem_layers == len(detector.cgem)
+    assert core.n_layers == len(detector.layers)
     assert core.n_wire_layers == len(detector.drift_chamber.layers)
     assert compiled(load(name)) is core
     assert compiled(detector, merge=False).n_slabs > core.n_slabs
@@ -191,7 +191,7 @@ def test_parts_may_be_missing() -> None:
     assert compiled(only_cgem).n_wire_layers == 0
     only_chamber = load({"base": "besiii-idc", "remove": ["beam_pipe", "walls"]})
     assert len(slabs(only_chamber, merge=False)) == 42  # between 43 wire layers
-    assert compiled(only_chamber).n_cgem_layers == 0
+    assert compiled(only_chamber).n_layers == 0
 
 
 def test_wall_between_wire_layers_cuts_the_gas() -> None:
@@ -221,7 +221,7 @@ DETECTOR = load("besiii-cgem-design")
 def arguments():
     """Return the arguments of the core's detector."""
     return {
-        "bz": -1.0, **slab_table(slabs(DETECTOR))._asdict(), "cgem": compiling.cgem_table(DETECTOR.cgem),
+        "bz": -1.0, **slab_table(slabs(DETECTOR))._asdict(), "layers": compiling.layer_table(DETECTOR.cgem),
         "wires": compiling.wire_table(DETECTOR.drift_chamber), "screening": _core.Screening.wentzel,
     }  # fmt: skip
 
@@ -251,11 +251,11 @@ def test_the_arguments_are_right_unchanged():
         ("wires", "r_end", np.nan, "r_end: got nan"),
         ("wires", "sigma", np.inf, "sigma: got inf"),
         ("wires", "efficiency", 2.0, "efficiency: got 2"),
-        ("cgem", "pitch_x", 0.0, r"cgem\[0\] pitch_x: got 0"),
-        ("cgem", "strips_v", 0, "strips_v: got 0"),
-        ("cgem", "sheets", 3, "sheets: expected 1 to 2, the columns of phi_first, 8 at most"),
-        ("cgem", "stereo", 0.0, "stereo: got 0"),
-        ("cgem", "r_gap_out", 1.0, "r_gap_out: got 1"),
+        ("layers", "pitch_x", 0.0, r"layer\[0\] pitch_x: got 0"),
+        ("layers", "strips_v", 0, "strips_v: got 0"),
+        ("layers", "sheets", 3, "sheets: expected 1 to 2, the columns of phi_first, 8 at most"),
+        ("layers", "stereo", 0.0, "stereo: got 0"),
+        ("layers", "r_gap_out", 1.0, "r_gap_out: got 1"),
         ("slabs", "gap", 3, r"slab\[0\] gap: got 3, expected -1 to 2"),
         ("slabs", "gap", -2, "gap: got -2"),
         ("slabs", "x0", np.nan, "x0: got nan"),

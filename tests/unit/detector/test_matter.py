@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cgemit import _core
 from cgemit.detector import Detector, DetectorError, compiled, load, slab_table, slabs
-from cgemit.detector.core import cgem_table, wire_table
+from cgemit.detector.core import layer_table, wire_table
 from cgemit.detector.matter import hole_table
 from cgemit.particles.gun import Gun, generate
 from cgemit.simulation.transport import SimulateSettings, simulate
@@ -212,7 +212,7 @@ def test_noise_of_a_track_does_not_depend_on_cuts(where, pieces, pt):
         pieces_of_it = [(z, a, moles / n) for z, a, moles in parts[i]]
         core = _core.Detector(
             bz=-1.0, slabs=cut, log_terms=np.repeat(log_terms, repeat, axis=0),
-            composition=composition(parts[:i] + [pieces_of_it] * n + parts[i + 1 :]), cgem=cgem_table(design.cgem),
+            composition=composition(parts[:i] + [pieces_of_it] * n + parts[i + 1 :]), layers=layer_table(design.cgem),
             wires=wire_table(design.drift_chamber), screening=_core.Screening.wentzel,
         )  # fmt: skip
         vectors = _core._testing.reference(core, np.array([0.1, 0.5, -1 / pt, 2.0, 0.3]), MUON, hits)["noise"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cgemit.detector import CgemLayer, DetectorError, detectors, load
-from cgemit.detector.core import cgem_table
+from cgemit.detector.core import layer_table
 from cgemit.detector.export import to_dict
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import crossing_z, v_of_strips
@@ -89,7 +89,7 @@ def test_readout(preset: str, counts: list[tuple[int, int, int]], degrees: list[
 
 
 def test_sheet_edges_and_strip_numbers_as_built() -> None:
-    table = cgem_table(load("besiii-cgem").cgem)
+    table = layer_table(load("besiii-cgem").cgem)
     edges = [[math.degrees(phi) % 360 for phi in row] for row in table["phi_first"]]
     assert edges[0][0] == pytest.approx(180.502)
     assert edges[1] == pytest.approx([180.118, 0.118])

@@ -14,7 +14,7 @@ import cgemit as cg
 from cgemit import _core
 from cgemit.base.errors import DetectorError
 from cgemit.detector import compiled
-from cgemit.detector.core import cgem_table, slab_table, wire_table
+from cgemit.detector.core import layer_table, slab_table, wire_table
 from cgemit.detector.matter import _air, _chamber_gas, _cylinders, _same_matter, slabs
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -268,7 +268,7 @@ OTHERS: dict[str, object] = {
 
 def tables_of(detector: cg.Detector) -> list[Any]:
     """Return all that the core is given of a detector but its field."""
-    found = [*slab_table(slabs(detector)), cgem_table(detector.cgem), wire_table(detector.drift_chamber)]
+    found = [*slab_table(slabs(detector)), layer_table(detector.cgem), wire_table(detector.drift_chamber)]
     return [column for table in found for column in (table.values() if isinstance(table, dict) else [table])]
 
 

@@ -6,7 +6,7 @@ import pytest
 import gem_toy
 from cgemit import FitSettings, Gun, Settings, _core, run
 from cgemit.detector import load
-from cgemit.detector.core import cgem_table
+from cgemit.detector.core import layer_table
 from cgemit.detector.gas import mean_shift
 from cgemit.detector.parts import strips_of_v
 from cgemit.draw.cluster import crossing
@@ -398,7 +398,7 @@ def test_the_reference_sample_ends_with_the_layer():
     """Straight tracks up to |cos(theta)| = 0.99: those that cross the middle of the gap within the length."""
     detector = load("besiii-cgem-design")
     straight = ClusterSettings(reference_p=1e6, reference_cos_theta=0.99)
-    rows = cgem_table(detector.cgem)
+    rows = layer_table(detector.cgem)
     counts = []
     for number, layer in enumerate(detector.cgem):
         width, _ = reference_widths({name: column[number] for name, column in rows.items()}, 1.0, straight)

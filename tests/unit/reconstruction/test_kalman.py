@@ -9,7 +9,7 @@ import pytest
 import cgemit as cg
 from cgemit import _core, helix
 from cgemit.detector import compiled, load, slab_table, slabs
-from cgemit.detector.core import cgem_table, wire_table
+from cgemit.detector.core import layer_table, wire_table
 from cgemit.reconstruction.fit import FitSettings, FitStatus
 from cgemit.reconstruction.states import StateStatus
 from fields import HARMONIC, small_map
@@ -513,7 +513,7 @@ def one_slab(x0, xi, spread, bz):
     elements = [[(6, 12.011, 42.70 * x0 / 12.011)] if k == i else [] for k in range(len(columns["x0"]))]
     core = _core.Detector(
         bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=composition(elements),
-        cgem=cgem_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+        layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
     )  # fmt: skip
     return detector, core, i, columns
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cgemit import _core
 from cgemit.detector import Detector, compiled
-from cgemit.detector.core import cgem_table, strip_lists
+from cgemit.detector.core import layer_table, strip_lists
 from cgemit.detector.readouts import BinaryReadout
 from cgemit.helix import path_to
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
@@ -63,7 +63,7 @@ def cluster_errors(detector: Detector, settings: ClusterSettings) -> tuple[Float
     err_x, err_v : ndarray, (layers, MAX_SIZE) float64, mm
         Column n - 1 holds for n strips, the last one for all larger clusters, too.
     """
-    return error_table(cgem_table(detector.cgem), detector.field.bz, settings)
+    return error_table(layer_table(detector.cgem), detector.field.bz, settings)
 
 
 def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> tuple[Floats, Floats]:
@@ -72,7 +72,7 @@ def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> t
     Parameters
     ----------
     cgem : dict of str to ndarray
-        Columns of `cgem_table`.
+        Columns of `layer_table`.
     bz : float
         T, of either sign.
     settings : ClusterSettings
@@ -99,7 +99,7 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
     Parameters
     ----------
     layer : dict of str to float
-        One row of `cgem_table`.
+        One row of `layer_table`.
     bz : float
         T.
     settings : ClusterSettings

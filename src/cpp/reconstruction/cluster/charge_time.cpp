@@ -64,10 +64,10 @@ Line fit_line(std::span<const StripPoint> points, double stiffness) {
 namespace {
 
 // Of a straight track from the beam line through a place at z.
-double slope_at(const CgemLayer& layer, ClusterView view, double z) {
+double slope_at(const MeasuringLayer& layer, ClusterView view, double z) {
   return view == ClusterView::x ? 0 : -layer.sin_stereo * z / layer.r_mid();
 }
-double path_at(const CgemLayer& layer, double z) {
+double path_at(const MeasuringLayer& layer, double z) {
   const double rise = z / layer.r_mid();
   return std::sqrt(1 + rise * rise);
 }
@@ -77,7 +77,7 @@ class ChargeTimeClusters {
   ChargeTimeClusters(const DigiView& digis, const ChargeTimeModel& model) : digis_(digis), model_(model) {}
 
   // Whether the strip fired while electrons of the event may have arrived.
-  bool keeps(const CgemLayer& layer, std::size_t row) const {
+  bool keeps(const MeasuringLayer& layer, std::size_t row) const {
     const auto number = static_cast<std::size_t>(digis_.layer[row]);
     const LayerTiming& timing = model_.layers[number];
     const double charge = std::max(digis_.charge[row], least_charge),
@@ -88,7 +88,7 @@ class ChargeTimeClusters {
   }
 
   // Lowest strips between two larger maxima.
-  void cuts(const CgemLayer&, std::span<const std::size_t> rows, std::vector<std::size_t>& cuts) const {
+  void cuts(const MeasuringLayer&, std::span<const std::size_t> rows, std::vector<std::size_t>& cuts) const {
     if (!(model_.valley > 0)) return;
     const auto charge = [&](std::size_t i) { return digis_.charge[rows[i]]; };
     std::size_t peak = 0, lowest = 0;  // since the last cut; the lowest one behind the peak
@@ -104,7 +104,7 @@ class ChargeTimeClusters {
     }
   }
 
-  ClusterRow make(const CgemLayer& layer, StripRun run, std::size_t row) {
+  ClusterRow make(const MeasuringLayer& layer, StripRun run, std::size_t row) {
     ClusterRow cluster = row_of_run(layer, digis_, run);
     if (!model_.slopes.empty() && row >= model_.slopes.size()) {
       throw std::invalid_argument("slopes: expected one for each cluster");
@@ -124,7 +124,7 @@ class ChargeTimeClusters {
 
   // Logarithm of the ratio of likelihoods, of one track over two tracks, of clusters of the sheet that cross
   // at z; never below that of a pair of which one has charge of something else.
-  double score(const CgemLayer& layer, std::span<const ClusterRow> views, std::size_t i, std::size_t k,
+  double score(const MeasuringLayer& layer, std::span<const ClusterRow> views, std::size_t i, std::size_t k,
                double z) {
     const Arrival x = arrival(layer, views[i], sheet_[i], z), v = arrival(layer, views[k], sheet_[k], z);
     const auto number = static_cast<std::size_t>(views[i].layer);
@@ -145,7 +145,7 @@ class ChargeTimeClusters {
 
   // Clusters of no known track have the direction of a straight one from the beam line through the place of
   // their best pair.
-  void place(const CgemLayer& layer, std::span<ClusterRow> views, std::span<const CrossingPair> pairs,
+  void place(const MeasuringLayer& layer, std::span<ClusterRow> views, std::span<const CrossingPair> pairs,
              std::size_t first) {
     std::vector<const CrossingPair*> best(views.size(), nullptr);
     for (const CrossingPair& pair : pairs) {
@@ -180,10 +180,10 @@ class ChargeTimeClusters {
   bool has_track(std::size_t row) const {
     return !model_.slopes.empty() && std::isfinite(model_.slopes[row]);
   }
-  ViewReconstruction plane_of(const CgemLayer& layer, const ClusterRow& cluster) const {
+  ViewReconstruction plane_of(const MeasuringLayer& layer, const ClusterRow& cluster) const {
     return {layer, static_cast<std::size_t>(cluster.layer), static_cast<int>(cluster.view), model_};
   }
-  static Known towards(const CgemLayer& layer, const ClusterRow& cluster, double z) {
+  static Known towards(const MeasuringLayer& layer, const ClusterRow& cluster, double z) {
     return {slope_at(layer, cluster.view, z), path_at(layer, z), false};
   }
 
@@ -199,7 +199,7 @@ class ChargeTimeClusters {
   }
 
   // Charge and mean time of a cluster whose track comes from the beam line through z.
-  Arrival arrival(const CgemLayer& layer, const ClusterRow& cluster, const Fired& fired, double z) {
+  Arrival arrival(const MeasuringLayer& layer, const ClusterRow& cluster, const Fired& fired, double z) {
     const ViewReconstruction plane = plane_of(layer, cluster);
     const double along = slope_at(layer, cluster.view, z), slope = plane.slope_at_anode(along);
     const ChargeMoments charge = along == 0 ? fired.charge : charge_at(plane, fired.strips, slope);
@@ -214,7 +214,7 @@ class ChargeTimeClusters {
   }
 
   // Sets position, error and time.
-  void measure(const CgemLayer& layer, const Fired& fired, Known known, ClusterRow& cluster) {
+  void measure(const MeasuringLayer& layer, const Fired& fired, Known known, ClusterRow& cluster) {
     const ViewReconstruction plane = plane_of(layer, cluster);
     const int view = static_cast<int>(cluster.view);
     const auto number = static_cast<std::size_t>(cluster.layer);

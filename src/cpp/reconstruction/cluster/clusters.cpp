@@ -22,7 +22,7 @@ double across(const DigiView& digis, StripRun rows, Position position) {
 }
 
 // The cluster of one view made of the digis `rows`, ordered by strip.
-ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, StripRun rows,
+ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, StripRun rows,
                         const ErrorTable& errors, Position position) {
   ClusterRow cluster = row_of_run(layer, digis, rows);
   if (cluster.view == ClusterView::x) {
@@ -41,11 +41,11 @@ struct BinaryClusters {
   const ErrorTable& errors;
   Position position;
 
-  void cuts(const CgemLayer&, std::span<const std::size_t>, std::vector<std::size_t>&) const {}
-  ClusterRow make(const CgemLayer& layer, StripRun rows, std::size_t) const {
+  void cuts(const MeasuringLayer&, std::span<const std::size_t>, std::vector<std::size_t>&) const {}
+  ClusterRow make(const MeasuringLayer& layer, StripRun rows, std::size_t) const {
     return make_cluster(layer, digis, rows, errors, position);
   }
-  double score(const CgemLayer&, std::span<const ClusterRow>, std::size_t, std::size_t, double) const {
+  double score(const MeasuringLayer&, std::span<const ClusterRow>, std::size_t, std::size_t, double) const {
     return 0;
   }
 };

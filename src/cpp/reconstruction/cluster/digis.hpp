@@ -36,9 +36,9 @@ inline void expect(std::size_t row, const char* what, std::int32_t value, std::i
 }
 
 // Checks the layer, sheet and view of a digi, and returns its layer.
-inline const CgemLayer& checked_layer(const Detector& detector, const DigiView& digis, std::size_t row) {
-  expect(row, "layer", digis.layer[row], static_cast<std::int32_t>(detector.cgem.size()));
-  const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[row])];
+inline const MeasuringLayer& checked_layer(const Detector& detector, const DigiView& digis, std::size_t row) {
+  expect(row, "layer", digis.layer[row], static_cast<std::int32_t>(detector.layers.size()));
+  const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(digis.layer[row])];
   expect(row, "sheet", digis.sheet[row], layer.sheets);
   expect(row, "view", digis.view[row], 2);
   return layer;

@@ -15,7 +15,7 @@ void check(const Detector& detector, const DigiView& digis) {
   }
 }
 
-ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, std::size_t row, double err_x,
+ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, std::size_t row, double err_x,
                         double err_v) {
   ClusterRow cluster{digis.event[row], digis.layer[row], digis.sheet[row], ClusterView{digis.view[row]}};
   cluster.charge = digis.charge[row];
@@ -36,7 +36,7 @@ ClusterRow make_cluster(const CgemLayer& layer, const DigiView& digis, std::size
 }
 
 // The clusters of one sheet: `views` holds its X clusters, then its V clusters.
-void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters) {
+void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters) {
   const auto n_x = static_cast<std::size_t>(
       std::ranges::count(views, ClusterView::x, [](const ClusterRow& row) { return row.view; }));
   if (!layer.has_x || !layer.has_v) {
@@ -70,7 +70,7 @@ ClusterColumns clusters_of_positions(const Detector& detector, const DigiView& d
   for (std::size_t i = 0; i < order.size(); ++i) {
     const std::size_t row = order[i];
     const auto index = static_cast<std::size_t>(digis.layer[row]);
-    const CgemLayer& layer = detector.cgem[index];
+    const MeasuringLayer& layer = detector.layers[index];
     sheet.push_back(make_cluster(layer, digis, row, err_x[index], err_v[index]));
     if (i + 1 < order.size() && digis.sheet_of(order[i + 1]) == digis.sheet_of(row)) continue;
     write_sheet(layer, sheet, clusters);

@@ -32,7 +32,7 @@ struct StripRun {
 
 inline void check(const DigiView& digis, const Detector& detector) {
   for (std::size_t i = 0; i < digis.size(); ++i) {
-    const CgemLayer& layer = checked_layer(detector, digis, i);
+    const MeasuringLayer& layer = checked_layer(detector, digis, i);
     expect(i, "strip", digis.strip[i], digis.view[i] == 0 ? layer.strips_x : layer.strips_v);
   }
 }
@@ -66,7 +66,7 @@ inline std::int32_t count_truths(const DigiView& digis, StripRun rows) {
 }
 
 // The row of one view made of the digis `rows`: all but its position and errors.
-inline ClusterRow row_of_run(const CgemLayer& layer, const DigiView& digis, StripRun rows) {
+inline ClusterRow row_of_run(const MeasuringLayer& layer, const DigiView& digis, StripRun rows) {
   const std::size_t front = rows.front();
   ClusterRow cluster{digis.event[front], digis.layer[front], digis.sheet[front],
                      ClusterView{digis.view[front]}};
@@ -92,7 +92,7 @@ struct CrossingPair {
 
 // All pairs of one sheet: `views` holds its X clusters, then its V clusters.
 template <class Model>
-void find_pairs(const CgemLayer& layer, std::span<const ClusterRow> views, Model& model,
+void find_pairs(const MeasuringLayer& layer, std::span<const ClusterRow> views, Model& model,
                 std::vector<CrossingPair>& pairs) {
   pairs.clear();
   for (std::size_t i = 0; i < views.size() && views[i].view == ClusterView::x; ++i) {
@@ -105,7 +105,7 @@ void find_pairs(const CgemLayer& layer, std::span<const ClusterRow> views, Model
 }
 
 // Writes the clusters of one sheet and their pairs.
-inline void write_sheet(const CgemLayer& layer, std::span<const ClusterRow> views,
+inline void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views,
                         std::span<const CrossingPair> pairs, ClusterColumns& clusters) {
   const std::int64_t first = clusters.rows();
   for (const ClusterRow& cluster : views) clusters.push_back(cluster);
@@ -123,8 +123,8 @@ struct Joining {
 };
 
 inline int gid_of_row(const Detector& detector, const DigiView& digis, std::size_t row) {
-  return gid_of(detector.cgem[static_cast<std::size_t>(digis.layer[row])], digis.sheet[row], digis.view[row],
-                digis.strip[row]);
+  return gid_of(detector.layers[static_cast<std::size_t>(digis.layer[row])], digis.sheet[row],
+                digis.view[row], digis.strip[row]);
 }
 
 // Whether strips (or the same one twice) of one view and sheet belong together.
@@ -136,7 +136,7 @@ inline bool adjacent(const Detector& detector, const DigiView& digis, std::size_
 
 // Grows the error of a cluster that masked strips have truncated or interrupted: each masked strip within it
 // or next to it may have had charge, which adds the variance of a position anywhere on that strip.
-inline void widen(const CgemLayer& layer, const StripMask& mask, ClusterRow& cluster) {
+inline void widen(const MeasuringLayer& layer, const StripMask& mask, ClusterRow& cluster) {
   if (mask.is_empty()) return;
   const bool is_x = cluster.view == ClusterView::x;
   const int view = is_x ? 0 : 1, strips = is_x ? layer.strips_x : layer.strips_v;
@@ -166,9 +166,9 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   if (!joining.mask.is_empty()) {
     std::erase_if(order, [&](std::size_t row) { return joining.mask(gid_of_row(detector, digis, row)); });
   }
-  if constexpr (requires(std::size_t row) { model.keeps(detector.cgem.front(), row); }) {
+  if constexpr (requires(std::size_t row) { model.keeps(detector.layers.front(), row); }) {
     std::erase_if(order, [&](std::size_t row) {
-      return !model.keeps(detector.cgem[static_cast<std::size_t>(digis.layer[row])], row);
+      return !model.keeps(detector.layers[static_cast<std::size_t>(digis.layer[row])], row);
     });
   }
   ClusterColumns clusters;
@@ -177,7 +177,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   std::vector<CrossingPair> pairs;
   const auto flush = [&] {
     if (sheet.empty()) return;
-    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(sheet.front().layer)];
+    const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(sheet.front().layer)];
     find_pairs(layer, sheet, model, pairs);
     if constexpr (requires { model.place(layer, sheet, pairs, std::size_t{}); }) {
       model.place(layer, sheet, pairs, static_cast<std::size_t>(clusters.rows()));
@@ -189,7 +189,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
   for (std::size_t begin = 0, end; begin < order.size(); begin = end) {
     end = begin + 1;
     while (end < order.size() && adjacent(detector, digis, order[end - 1], order[end], joining)) ++end;
-    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(digis.layer[order[begin]])];
+    const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(digis.layer[order[begin]])];
     if (begin > 0 && digis.sheet_of(order[begin]) != digis.sheet_of(order[begin - 1])) flush();
     const std::span<const std::size_t> rows(&order[begin], end - begin);
     cuts.assign(1, 0);

@@ -48,7 +48,7 @@ inline ChargeMoments moments_of(std::span<const StripPoint> points) {
 // One view of one layer.
 class ViewReconstruction {
  public:
-  ViewReconstruction(const CgemLayer& layer, std::size_t number, int view, const ChargeTimeModel& model)
+  ViewReconstruction(const MeasuringLayer& layer, std::size_t number, int view, const ChargeTimeModel& model)
       : layer_(layer),
         number_(number),
         view_(view),
@@ -144,7 +144,7 @@ class ViewReconstruction {
 
   static constexpr double usual_slope = 1;
   static constexpr double outside = 0.2;  // mm, by which a strip's height may lie outside the gap
-  const CgemLayer& layer_;
+  const MeasuringLayer& layer_;
   std::size_t number_;
   int view_;
   const ChargeTimeModel& model_;

@@ -44,7 +44,7 @@ void AxialHits::add(double x, double y, double drift, std::size_t layer, std::in
 
 void AxialHits::load(const EventHits& hits) {
   points_.clear();
-  const std::size_t gaps = detector_.cgem.size();
+  const std::size_t gaps = detector_.layers.size();
   double occupancy = 0;
   int layers = 0;
   for (std::size_t i = 0; i < detector_.wires.size(); ++i) {
@@ -61,8 +61,8 @@ void AxialHits::load(const EventHits& hits) {
     const Hit& hit = hits[id];
     const auto layer = static_cast<std::size_t>(hit.layer);
     if (hit.view == View::x) {
-      const CgemLayer& cgem = detector_.cgem[layer];
-      const double phi = azimuth(cgem, hit.channel, hit.value), r = cgem.r_mid();
+      const MeasuringLayer& plane = detector_.layers[layer];
+      const double phi = azimuth(plane, hit.channel, hit.value), r = plane.r_mid();
       add(r * std::cos(phi), r * std::sin(phi), 0, layer, id);
     } else if (hit.view == View::wire && detector_.wires[layer].twist == 0) {
       const Wire& wire = detector_.wires[layer].placed[static_cast<std::size_t>(hit.channel)];

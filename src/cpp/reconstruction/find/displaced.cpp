@@ -27,12 +27,13 @@ std::int64_t number_of(const WireLayer& layer, double cell) {
 }
 
 std::uint64_t bit(const Detector& detector, std::size_t layer) {
-  return std::uint64_t{1} << ((detector.cgem.size() + layer) % 64);
+  return std::uint64_t{1} << ((detector.layers.size() + layer) % 64);
 }
 
 }  // namespace
 
-DisplacedSearch::DisplacedSearch(const Detector& detector, AxialHits& axial) : detector_(detector), axial_(axial) {
+DisplacedSearch::DisplacedSearch(const Detector& detector, AxialHits& axial)
+    : detector_(detector), axial_(axial) {
   std::size_t run = 0;
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
     run = detector.wires[i].twist == 0 ? run + 1 : 0;
@@ -123,7 +124,7 @@ void DisplacedSearch::tangents(const Ends& ends, const Circle& a, const Circle& 
 
 // The distance of a hit of a layer from the segment, if curvature allows it.
 std::optional<double> DisplacedSearch::closest(const Segment& segment, std::size_t layer,
-                                           const EventHits& hits) const {
+                                               const EventHits& hits) const {
   const WireLayer& wires = detector_.wires[layer];
   const double along_0 = segment.x * segment.ux + segment.y * segment.uy,
                across_0 = segment.x * segment.uy - segment.y * segment.ux;

@@ -19,7 +19,7 @@ class EventHits {
       : detector_(detector), pairs_(pairs), cells_(detector.wires.size()) {
     for (std::size_t i = 0; i < cells_.size(); ++i)
       cells_[i].assign(static_cast<std::size_t>(detector.wires[i].cells), -1);
-    begin_.resize(2 * detector.cgem.size() + 1);
+    begin_.resize(2 * detector.layers.size() + 1);
     fired_.resize(cells_.size());
     begin_wires_.resize(cells_.size() + 1);
   }
@@ -83,9 +83,9 @@ class EventHits {
       const WireLayer& wires = detector_.wires[layer];
       return (fired_[layer] + 0.5) / (2 * pi * wires.r_end);
     }
-    const CgemLayer& cgem = detector_.cgem[layer];
-    const double width = view == View::x ? cgem.strips_x * cgem.pitch_x : cgem.strips_v * cgem.pitch_v;
-    return std::max(last(layer, view) - first(layer, view) - 0.5, 0.5) / (cgem.sheets * width);
+    const MeasuringLayer& plane = detector_.layers[layer];
+    const double width = view == View::x ? plane.strips_x * plane.pitch_x : plane.strips_v * plane.pitch_v;
+    return std::max(last(layer, view) - first(layer, view) - 0.5, 0.5) / (plane.sheets * width);
   }
   // The cells of a layer that have a hit, and their share.
   std::int32_t fired(std::size_t layer) const { return fired_[layer]; }

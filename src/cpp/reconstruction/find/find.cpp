@@ -38,19 +38,19 @@ class EventFinder {
     seeds_ = 0;
     limits_ = 0;
     stereo_.start();
-    if (detector_.wires.empty() && detector_.cgem.size() == 3) {
+    if (detector_.wires.empty() && detector_.layers.size() == 3) {
       if (settings_.segments) from_segments();
       return tracks_;
     }
     // Combinations of clusters grow faster than circles with the number of tracks.
     const bool circles_first = settings_.chamber && is_crowded();
     if (circles_first) from_chamber();
-    if (settings_.segments && detector_.cgem.size() >= 3) {
+    if (settings_.segments && detector_.layers.size() >= 3) {
       for (const FindSeed& seed : segments_.three_layers(hits_, !circles_first)) try_segment(seed);
       reach(limit_segments, segments_.is_cut());
     }
     if (settings_.chamber && !circles_first) from_chamber();
-    if (settings_.segments && detector_.cgem.size() >= 2) {
+    if (settings_.segments && detector_.layers.size() >= 2) {
       for (const FindSeed& seed : segments_.two_layers(hits_))
         if (!is_found(seed)) try_segment(seed);
       reach(limit_segments, segments_.is_cut());
@@ -71,9 +71,9 @@ class EventFinder {
   bool is_crowded() const {
     constexpr std::size_t many_clusters = 20;  // in a layer
     std::int32_t clusters = 0;
-    for (std::size_t i = 0; i < detector_.cgem.size(); ++i)
+    for (std::size_t i = 0; i < detector_.layers.size(); ++i)
       clusters += hits_.last(i, View::x) - hits_.first(i, View::x);
-    return static_cast<std::size_t>(clusters) > many_clusters * detector_.cgem.size();
+    return static_cast<std::size_t>(clusters) > many_clusters * detector_.layers.size();
   }
 
   void settle() {
@@ -126,7 +126,7 @@ class EventFinder {
     // The circle through three layers has the momentum in the middle one.
     FindSeed slow = seed;
     const auto middle = static_cast<std::size_t>(hits_[seed.hits[2]].layer);
-    slow.helix = trace_back(detector_, seed.helix, detector_.cgem[middle].r_mid(), settings_.mass);
+    slow.helix = trace_back(detector_, seed.helix, detector_.layers[middle].r_mid(), settings_.mass);
     slow.covariance(2, 2) = variance_of_kappa(slow.helix.kappa);
     try_seed(slow);
   }

@@ -32,7 +32,7 @@ Follower::Follower(const Detector& detector, const FindSettings& settings)
       nearby_(detector, group_),
       log_found_(std::log(settings.efficiency)),
       log_missed_(std::log1p(-settings.efficiency)),
-      gap_density_(detector.cgem.size()),
+      gap_density_(detector.layers.size()),
       wire_ratio_(detector.wires.size()),
       fired_(detector.wires.size(), -1) {}
 
@@ -158,7 +158,7 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
     }
     if (only >= 0 && tries) continue;
     next_.push_back(branch);
-    if (tries && nearby_.expects(step) && detector_.cgem[layer].has(view == View::x))
+    if (tries && nearby_.expects(step) && detector_.layers[layer].has(view == View::x))
       hole(next_.back(), log_missed_);
   }
   if (next_.empty()) next_ = branches_;

@@ -53,7 +53,7 @@ class NearbyHits {
     if (slab.ends && reached && std::abs(at.z) > slab.half_length) inside_ = false;
     if (slab.gap < 0 || !reached || !inside_) return;
     const auto index = static_cast<std::size_t>(slab.gap);
-    const CgemLayer& layer = detector_.cgem[index];
+    const MeasuringLayer& layer = detector_.layers[index];
     if (std::abs(at.z) > layer.half_length + 2 * window_) return;
     const double phi = std::atan2(at.y, at.x), around = 2 * pi * layer.r_readout;
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
@@ -134,7 +134,7 @@ class NearbyHits {
     slot.residual = 0;
     return slot;
   }
-  void add_cluster(GroupStep& step, std::int32_t id, const Hit& hit, const CgemLayer& layer) {
+  void add_cluster(GroupStep& step, std::int32_t id, const Hit& hit, const MeasuringLayer& layer) {
     Slot<double>& slot = add(step, hit.view, static_cast<std::size_t>(hit.layer), id);
     slot.drift = hit.value;
     slot.noise = hit.sigma * hit.sigma;

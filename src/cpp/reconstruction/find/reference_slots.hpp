@@ -27,7 +27,7 @@ inline void trace_nearby(const Detector& detector, const Perigee& start, double 
 
 inline double variance_of(const Detector& detector, const FindSettings& settings, const Slot<double>& slot) {
   if (slot.size <= 0) return slot.noise;
-  const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(slot.layer)];
+  const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(slot.layer)];
   const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
   return cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
 }

@@ -41,14 +41,14 @@ SegmentScore::SegmentScore(const Detector& detector, const FindSettings& setting
       log_missed_(std::log1p(-settings.efficiency)),
       log_prompt_(std::log(prompt_share) - 0.5 * std::log(2 * pi * along * along)),
       log_elsewhere_(std::log((1 - prompt_share) / (4 * settings.max_d * settings.max_z))),
-      gain_(detector.cgem.size()) {}
+      gain_(detector.layers.size()) {}
 
 void SegmentScore::start(const EventHits& hits) {
   hits_ = &hits;
   for (std::size_t i = 0; i < gain_.size(); ++i) {
     gain_[i][0] = log_found_ - std::log(hits.density(i, View::x));
     // Densities are of V, lines are in z.
-    gain_[i][1] = log_found_ - std::log(hits.density(i, View::v) * std::abs(detector_.cgem[i].sin_stereo));
+    gain_[i][1] = log_found_ - std::log(hits.density(i, View::v) * std::abs(detector_.layers[i].sin_stereo));
   }
 }
 
@@ -81,7 +81,7 @@ void SegmentScore::circle(const std::array<std::size_t, 3>& layers, const std::a
 }
 
 double SegmentScore::height_variance(std::size_t i, std::int32_t v) const {
-  const CgemLayer& layer = detector_.cgem[layers_[i]];
+  const MeasuringLayer& layer = detector_.layers[layers_[i]];
   return (square((*hits_)[x_[i]].sigma * layer.cos_stereo) + square((*hits_)[v].sigma)) /
              square(layer.sin_stereo) +
          least_error * least_error;

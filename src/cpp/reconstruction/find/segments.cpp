@@ -38,7 +38,7 @@ SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& setti
     : detector_(detector),
       settings_(settings),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
-      points_(detector.cgem.size()),
+      points_(detector.layers.size()),
       score_(detector, settings) {}
 
 void SegmentFinder::load(const EventHits& hits, bool all) {
@@ -49,10 +49,10 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
   dropped_ = false;
   for (std::size_t layer = 0; layer < points_.size(); ++layer) {
     points_[layer].clear();
-    const CgemLayer& cgem = detector_.cgem[layer];
+    const MeasuringLayer& plane = detector_.layers[layer];
     for (std::int32_t id = hits.first(layer, View::x); id < hits.last(layer, View::x); ++id) {
       if (!all_ && hits.is_taken(id)) continue;
-      const double phi = azimuth(cgem, hits[id].channel, hits[id].value), r = cgem.r_mid();
+      const double phi = azimuth(plane, hits[id].channel, hits[id].value), r = plane.r_mid();
       points_[layer].push_back({r * std::cos(phi), r * std::sin(phi), phi, id});
     }
   }
@@ -62,12 +62,12 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
 void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point,
                             std::vector<Height>& out) {
   out.clear();
-  const CgemLayer& cgem = detector_.cgem[layer];
+  const MeasuringLayer& plane = detector_.layers[layer];
   work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
     if (hits[id].channel != hits[point.id].channel || (!all_ && hits.is_taken(id))) continue;
-    const double z = crossing_z(cgem, hits[point.id].value, hits[id].value);
-    if (std::abs(z) < cgem.half_length + 5) out.push_back({z, hits.pair_score(point.id, id), id});
+    const double z = crossing_z(plane, hits[point.id].value, hits[id].value);
+    if (std::abs(z) < plane.half_length + 5) out.push_back({z, hits.pair_score(point.id, id), id});
   }
 }
 
@@ -86,7 +86,7 @@ const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits, 
 bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
   const auto [inner, middle, outer] = layers;
   // No track turns by more between two layers, if it comes from near the beam line.
-  const double r_in = detector_.cgem[inner].r_mid(), r_out = detector_.cgem[outer].r_mid();
+  const double r_in = detector_.layers[inner].r_mid(), r_out = detector_.layers[outer].r_mid();
   const double bend =
       std::asin(std::min(1.0, 0.5 * largest_w_ * r_out)) - std::asin(std::min(1.0, 0.5 * largest_w_ * r_in));
   const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));

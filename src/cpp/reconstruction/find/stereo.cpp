@@ -67,14 +67,14 @@ void StereoSearch::strips(const FoundCircle& circle, const EventHits& hits) {
   for (const std::int32_t x : circle.hits) {
     if (hits[x].view != View::x) continue;
     const auto layer = static_cast<std::size_t>(hits[x].layer);
-    const CgemLayer& cgem = detector_.cgem[layer];
+    const MeasuringLayer& plane = detector_.layers[layer];
     HelixPoint at = start;
     double s = 0;
-    if (!step_to_cylinder(at, cgem.r_mid(), s)) continue;
+    if (!step_to_cylinder(at, plane.r_mid(), s)) continue;
     for (std::int32_t v = hits.first(layer, View::v); v < hits.last(layer, View::v); ++v) {
       if (hits[v].channel != hits[x].channel) continue;
-      const double z = crossing_z(cgem, hits[x].value, hits[v].value);
-      if (std::abs(z) > cgem.half_length + 5) continue;
+      const double z = crossing_z(plane, hits[x].value, hits[v].value);
+      if (std::abs(z) > plane.half_length + 5) continue;
       heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32)});
     }
   }

@@ -12,9 +12,9 @@ std::string where(const HitView& hits, std::size_t i) {
 
 }  // namespace
 
-HitRules::HitRules(const Detector& detector) : cgem_(detector.cgem.size()) {
-  for (std::size_t i = 0; i < detector.cgem.size(); ++i)
-    cgem_[i] = {static_cast<int>(i), detector.cgem[i].sheets, -1};
+HitRules::HitRules(const Detector& detector) : cgem_(detector.layers.size()) {
+  for (std::size_t i = 0; i < detector.layers.size(); ++i)
+    cgem_[i] = {static_cast<int>(i), detector.layers[i].sheets, -1};
   std::vector<std::size_t> number_of(detector.wires.size());
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
     number_of[i] = static_cast<std::size_t>(detector.wires[i].number);

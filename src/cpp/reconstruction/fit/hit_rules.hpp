@@ -32,7 +32,7 @@ class HitRules {
  public:
   explicit HitRules(const Detector& detector);
 
-  // Index into the detector's cgem or wires; -1 if there is no such layer.
+  // Index into the detector's layers or wires; -1 if there is no such layer.
   int index(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).index; }
   // Position of the layer among the surfaces, counted outward.
   int surface(std::uint8_t kind, std::int32_t layer) const { return layer_of(kind, layer).surface; }

@@ -25,7 +25,7 @@ CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const 
       slot.variance = slot.noise;
       slot.used = slot.used & !wires_only;
       if (settings.errors_from_track) {
-        const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(slot.layer)];
+        const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(slot.layer)];
         const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
         const T from_track =
             cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);

@@ -88,7 +88,7 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
       const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hit.channel)];
       fit.add({wire.x, wire.y, {hit.value, static_cast<double>(sides[i]), 1 / wire_error, 1, 0}});
     } else if (hit.view == View::x && from == SeedFrom::wires_and_clusters) {
-      const CgemLayer& layer = detector.cgem[index];
+      const MeasuringLayer& layer = detector.layers[index];
       const double phi = azimuth(layer, hit.channel, hit.value), r = layer.r_mid();
       fit.add({r * std::cos(phi), r * std::sin(phi), {0, 1, 1 / strip_error, 1, 0}});
     }
@@ -111,7 +111,7 @@ LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side,
 }
 
 // V strips, crossed at the X of their layer that is closest to the circle, or else at the circle itself.
-LineShape::Point strip_point(const CgemLayer& layer, const Hit& hit, std::span<const Hit> before,
+LineShape::Point strip_point(const MeasuringLayer& layer, const Hit& hit, std::span<const Hit> before,
                              const HelixPoint& point, double s, double scale) {
   const double around = 2 * pi * layer.r_readout;
   double on_circle = local_x(layer, hit.channel, std::atan2(point.y, point.x)), x = on_circle;
@@ -151,12 +151,12 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
     const bool stereo = hit.view == View::wire && detector.wires[index].twist != 0;
     const bool strips = hit.view == View::v && from == SeedFrom::wires_and_clusters;
     if (!stereo && !strips) continue;
-    const double radius = stereo ? std::sqrt(detector.wires[index].waist) : detector.cgem[index].r_mid();
+    const double radius = stereo ? std::sqrt(detector.wires[index].waist) : detector.layers[index].r_mid();
     double step = 0;
     if (radius <= std::abs(circle.d) || !step_to_cylinder(point, radius, step)) continue;
     s += step;
     line.add(stereo ? wire_point(detector.wires[index], hit, sides[i], circle, s, wire_error * scale)
-                    : strip_point(detector.cgem[index], hit, hits.first(i), point, s, scale));
+                    : strip_point(detector.layers[index], hit, hits.first(i), point, s, scale));
   }
   return line.result();
 }
@@ -198,7 +198,7 @@ std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hi
   if (hits.empty()) return std::nullopt;
   const auto radius = [&](const Hit& hit) {
     const auto index = static_cast<std::size_t>(hit.layer);
-    return hit.view == View::wire ? std::sqrt(detector.wires[index].waist) : detector.cgem[index].r_mid();
+    return hit.view == View::wire ? std::sqrt(detector.wires[index].waist) : detector.layers[index].r_mid();
   };
   const double middle = 0.5 * (radius(hits.front()) + radius(hits.back()));
   if (from == SeedFrom::azimuths) {

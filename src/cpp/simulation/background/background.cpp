@@ -74,7 +74,7 @@ void add_hot_cells(const Detector& detector, const Stream& stream, std::int64_t 
   }
 }
 
-bool in_dead_area(const CgemLayer& layer, double x, double z) {
+bool in_dead_area(const MeasuringLayer& layer, double x, double z) {
   const double beside = std::min(x, layer.sheet_width() - x), beyond = layer.half_length - std::abs(z);
   return beside < 0.5 * layer.dead_seam || (layer.dead_ends > 0 && beyond < layer.dead_ends);
 }
@@ -82,7 +82,7 @@ bool in_dead_area(const CgemLayer& layer, double x, double z) {
 // Clusters at points of a layer that are uniform in azimuth and z.
 void add_clusters(const Detector& detector, std::size_t index, const Stream& stream, const StripNoise& noise,
                   std::vector<std::int32_t>& fired) {
-  const CgemLayer& layer = detector.cgem[index];
+  const MeasuringLayer& layer = detector.layers[index];
   Draws draws(stream, Purpose::background_clusters, static_cast<std::uint32_t>(index));
   const double mean = std::min(noise.clusters[index], 2.0 * most_clusters);
   for (int n = std::min(poisson(draws.next(), mean), most_clusters); n > 0; --n) {
@@ -104,7 +104,7 @@ void add_clusters(const Detector& detector, std::size_t index, const Stream& str
 }
 
 // Single strips of a layer.
-void add_single(const CgemLayer& layer, const Stream& stream, const StripNoise& noise,
+void add_single(const MeasuringLayer& layer, const Stream& stream, const StripNoise& noise,
                 std::vector<std::int32_t>& fired) {
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     for (int view = 0; view < 2; ++view) {
@@ -119,15 +119,15 @@ void add_single(const CgemLayer& layer, const Stream& stream, const StripNoise& 
 
 void add_strip(const Detector& detector, std::int32_t gid, std::int64_t event, const Stream& stream,
                const StripNoise& noise, NoisyStrips& out) {
-  const auto layer = std::prev(
-      std::upper_bound(detector.cgem.begin(), detector.cgem.end(), gid,
-                       [](std::int32_t number, const CgemLayer& one) { return number < one.gid_first; }));
+  const auto layer = std::prev(std::upper_bound(
+      detector.layers.begin(), detector.layers.end(), gid,
+      [](std::int32_t number, const MeasuringLayer& one) { return number < one.gid_first; }));
   const int per_sheet = layer->strips_x + layer->strips_v;
   const int in_layer = gid - layer->gid_first, in_sheet = in_layer % per_sheet;
   const bool is_v = in_sheet >= layer->strips_x;
   const Block words = stream.block(Purpose::background_strip, static_cast<std::uint32_t>(gid));
   out.event.push_back(event);
-  out.layer.push_back(static_cast<std::int32_t>(layer - detector.cgem.begin()));
+  out.layer.push_back(static_cast<std::int32_t>(layer - detector.layers.begin()));
   out.sheet.push_back(in_layer / per_sheet);
   out.view.push_back(is_v ? 1 : 0);
   out.strip.push_back(is_v ? in_sheet - layer->strips_x : in_sheet);
@@ -158,8 +158,8 @@ NoisyStrips background_strips(const Detector& detector, std::span<const std::int
   for (const std::int64_t event : events) {
     const Stream stream = stream_of(noise.seed, event);
     fired.clear();
-    for (std::size_t i = 0; i < detector.cgem.size(); ++i) add_clusters(detector, i, stream, noise, fired);
-    if (!detector.cgem.empty()) add_single(detector.cgem.front(), stream, noise, fired);
+    for (std::size_t i = 0; i < detector.layers.size(); ++i) add_clusters(detector, i, stream, noise, fired);
+    if (!detector.layers.empty()) add_single(detector.layers.front(), stream, noise, fired);
     for (std::size_t i = 0; i < noise.hot.gid.size(); ++i) {
       const auto place = static_cast<std::uint32_t>(noise.hot.gid[i]);
       const Block words = stream.block(Purpose::background_strip, place);

@@ -51,7 +51,7 @@ struct CloudWidth {
 // Adds the currents of a cloud at (phi, z) with a charge (fC) for each view. Outside of the active area it is
 // lost.
 template <class T>
-void induce_on_layer(const CgemLayer& layer, double phi, double z, CloudWidth width,
+void induce_on_layer(const MeasuringLayer& layer, double phi, double z, CloudWidth width,
                      const std::array<double, 2>& charge, const typename StripSignals<T>::Transit& at,
                      StripSignals<T>& signals) {
   constexpr double reach = 6, least = 1e-6;  // widths; mm, of a cloud without diffusion
@@ -87,15 +87,15 @@ class EventReadout {
         readout_(readout),
         gains_(gains),
         response_(readout.chip.charge, time_step) {
-    for (std::size_t layer = 0; layer < detector.cgem.size(); ++layer) {
-      signals_.emplace_back(detector.cgem[layer], layer, detector.cgem.size(), readout.induced,
+    for (std::size_t layer = 0; layer < detector.layers.size(); ++layer) {
+      signals_.emplace_back(detector.layers[layer], layer, detector.layers.size(), readout.induced,
                             readout.drift[layer].induction);
     }
   }
 
   // Truths [begin, end) are those of one event.
   void read(std::size_t begin, std::size_t end) {
-    for (std::size_t layer = 0; layer < detector_.cgem.size(); ++layer) {
+    for (std::size_t layer = 0; layer < detector_.layers.size(); ++layer) {
       if (!open(layer, begin, end)) continue;
       for (std::size_t row = begin; row < end; ++row) {
         if (truths_.layer[row] != static_cast<std::int32_t>(layer)) continue;
@@ -126,7 +126,7 @@ class EventReadout {
     }
     if (first > last) return false;
     const LayerDrift& drift = readout_.drift[layer];
-    const double gap = detector_.cgem[layer].r_gap_out - detector_.cgem[layer].r_gap_in;
+    const double gap = detector_.layers[layer].r_gap_out - detector_.layers[layer].r_gap_in;
     const double spread = late * readout_.physics.diffusion * drift.sigma_l * std::sqrt(gap) / drift.velocity;
     signals_[layer].begin(first + drift.delay - spread, last + drift.delay + gap / drift.velocity + spread);
     return true;
@@ -171,7 +171,7 @@ class EventReadout {
       };
       return column(steps_.middle[axis]) + side * column(steps_.d[axis]);
     };
-    const Arrival<T> clouds = drift(detector_.cgem[number], readout_.drift[number], readout_.physics,
+    const Arrival<T> clouds = drift(detector_.layers[number], readout_.drift[number], readout_.physics,
                                     coordinate(0), coordinate(1), coordinate(2), draws, arrives);
     each_lane(arrives, [&](int i) {
       induce(number, row, share,
@@ -182,7 +182,7 @@ class EventReadout {
   // One avalanche on the strips of both views.
   void induce(std::size_t number, std::size_t row, const std::array<double, 2>& share,
               const Arrival<double>& cloud) {
-    const CgemLayer& layer = detector_.cgem[number];
+    const MeasuringLayer& layer = detector_.layers[number];
     const LayerDrift& gas = readout_.drift[number];
     const double factor = readout_.physics.diffusion;
     const CloudWidth cloud_width{layer.r_readout * factor * gas.cloud_phi, factor * gas.cloud_z};
@@ -194,7 +194,7 @@ class EventReadout {
   }
 
   void write(std::size_t number, std::int64_t event) {
-    const CgemLayer& layer = detector_.cgem[number];
+    const MeasuringLayer& layer = detector_.layers[number];
     const Stream stream(readout_.seed, static_cast<std::uint64_t>(event), 0);
     signals_[number].each([&](int sheet, int view, int strip, const auto& source, CurrentSteps steps) {
       DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};

@@ -132,8 +132,8 @@ struct Arrival {
 // electron and moves its avalanche as a whole, which keeps the place where the electron arrived at the first
 // foil.
 template <class T>
-Arrival<T> drift(const CgemLayer& layer, const LayerDrift& gas, const ElectronPhysics& physics, T x, T y, T z,
-                 ElectronDraws<T>& draws, mask_of<T> wanted) {
+Arrival<T> drift(const MeasuringLayer& layer, const LayerDrift& gas, const ElectronPhysics& physics, T x, T y,
+                 T z, ElectronDraws<T>& draws, mask_of<T> wanted) {
   const T inside = smaller(larger(sqrt(x * x + y * y), layer.r_gap_in), layer.r_gap_out);
   const T length = layer.r_gap_out - inside, root = physics.diffusion * sqrt(length);
   const double bend = physics.lorentz ? 1 : 0;
@@ -201,7 +201,7 @@ inline double part_within(double mean, double sigma, double low, double high) {
 // beyond it: at each V only a part of the cloud lies on the sheet, since X and z are correlated with V.
 // Midpoint sums within the strips; exact at an edge, and an approximation at a corner, where both edges count
 // as independent.
-inline void parts_on_sheet(const CgemLayer& layer, double x, double z, double sigma_x, double sigma_z,
+inline void parts_on_sheet(const MeasuringLayer& layer, double x, double z, double sigma_x, double sigma_z,
                            int first, std::span<double> found) {
   constexpr int parts = 16;
   constexpr double least = 1e-4;  // of the cloud, on strips with a part of their own

@@ -17,7 +17,7 @@ struct Fired {
 };
 
 // Shares `charge` among the strips that the projected segment touches; charge off the active area is lost.
-void share(const CgemLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
+void share(const MeasuringLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
            std::vector<Contribution>& out) {
   const Pieces pieces = unroll(layer, from, to);
   std::array<Fired, most_sheets + 1> fired;
@@ -40,8 +40,9 @@ void share(const CgemLayer& layer, const Point& from, const Point& to, double ch
 }
 
 // Reads out one truth with its steps [begin, end).
-void read_out(const CgemLayer& layer, const TruthColumns& truths, std::size_t row, const StepColumns& steps,
-              std::size_t begin, std::size_t end, double per_energy, std::vector<Contribution>& out) {
+void read_out(const MeasuringLayer& layer, const TruthColumns& truths, std::size_t row,
+              const StepColumns& steps, std::size_t begin, std::size_t end, double per_energy,
+              std::vector<Contribution>& out) {
   Contribution strip{};
   strip.layer = truths.layer[row];
   strip.time = truths.time[row];
@@ -79,7 +80,7 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
       const double per_energy = charge_per_energy(readout.gain, readout.w_values[layer]) *
                                 gains.at(detector, layer, truths.phi[row], truths.z[row]);
       if (truths.energy[row] * per_energy < readout.threshold) continue;
-      read_out(detector.cgem[layer], truths, row, steps, first, step, per_energy, parts);
+      read_out(detector.layers[layer], truths, row, steps, first, step, per_energy, parts);
     }
     write_digis(truths.event[begin], parts, digis, [](DigiRow&) { return true; });
   }

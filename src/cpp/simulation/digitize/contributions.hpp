@@ -23,7 +23,7 @@ struct Contribution {
   auto order() const { return std::tuple(gid, truth); }
 };
 
-inline void append(const CgemLayer& layer, Contribution strip, StripRange range,
+inline void append(const MeasuringLayer& layer, Contribution strip, StripRange range,
                    std::vector<Contribution>& out) {
   const int sheet_first = layer.gid_first + strip.sheet * (layer.strips_x + layer.strips_v);
   const int view_first = sheet_first + (strip.view == 0 ? 0 : layer.strips_x);

@@ -29,7 +29,7 @@ std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, st
 std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, std::size_t event_begin,
                           std::size_t row, const GaussianReadout& readout) {
   const auto index = static_cast<std::size_t>(truths.layer[row]);
-  const CgemLayer& layer = detector.cgem[index];
+  const MeasuringLayer& layer = detector.layers[index];
   const PositionErrors& errors = readout.errors[index];
   if (std::abs(truths.z[row]) > layer.half_length) return std::nullopt;
   const double per_energy = charge_per_energy(readout.gain, readout.w_values[index]);
@@ -77,7 +77,7 @@ DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths
     for (auto first = pairs.begin(); first != pairs.end();) {
       const auto last =
           std::find_if(first, pairs.end(), [&](const Pair& p) { return sheet_of(p) != sheet_of(*first); });
-      const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(first->x.layer)];
+      const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(first->x.layer)];
       for (auto pair = first; layer.has_x && pair != last; ++pair) digis.push_back(pair->x);
       for (auto pair = first; layer.has_v && pair != last; ++pair) digis.push_back(pair->v);
       first = last;

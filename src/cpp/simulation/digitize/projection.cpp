@@ -36,7 +36,7 @@ void share_profile(double from, double to, double sigma, int strips, Give&& give
 }
 
 // Shares the charge of a segment, half to each view; its pieces take it in proportion to their lengths.
-void share(const CgemLayer& layer, const Point& from, const Point& to, double charge, double sigma,
+void share(const MeasuringLayer& layer, const Point& from, const Point& to, double charge, double sigma,
            Contribution strip, std::vector<Contribution>& out) {
   const Pieces pieces = unroll(layer, from, to);
   const double whole = std::hypot(
@@ -84,11 +84,11 @@ DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& trut
         of_particle -= steps.energy[step];
         const Point at = steps.end(step, 0);
         const double gain = gains.at(detector, number, std::atan2(at.y, at.x), at.z);
-        share(detector.cgem[number], steps.end(step, -0.5), steps.end(step, 0.5),
+        share(detector.layers[number], steps.end(step, -0.5), steps.end(step, 0.5),
               gain * steps.energy[step] * per_energy, readout.sigma, strip, parts);
       }
       const double gain = gains.at(detector, number, truths.phi[row], truths.z[row]);
-      share(detector.cgem[number], truths.entry_point(row), truths.exit_point(row),
+      share(detector.layers[number], truths.entry_point(row), truths.exit_point(row),
             gain * std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, parts);
     }
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[begin]), 0);

@@ -56,8 +56,8 @@ class StripSignals {
     std::int32_t n = 0;
   };
 
-  StripSignals(const CgemLayer& layer, std::size_t number, std::size_t layers, const InducedCharge& induced,
-               double induction)
+  StripSignals(const MeasuringLayer& layer, std::size_t number, std::size_t layers,
+               const InducedCharge& induced, double induction)
       : layer_(&layer),
         reach_(static_cast<int>(induced.reach)),
         strips_(induced.strips()),
@@ -258,7 +258,7 @@ class StripSignals {
     return slot;
   }
 
-  const CgemLayer* layer_;
+  const MeasuringLayer* layer_;
   int reach_;
   std::size_t strips_, phases_;
   std::array<double, InducedCharge::nodes> way_;

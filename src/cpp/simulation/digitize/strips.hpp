@@ -43,7 +43,7 @@ inline void narrow(double a, double d, double low, double high, double& t0, doub
 }
 
 // Clips the segment from (x, z) over (dx, dz) to the sheet and appends the remaining part.
-inline void clip(const CgemLayer& layer, int sheet, double x, double z, double dx, double dz,
+inline void clip(const MeasuringLayer& layer, int sheet, double x, double z, double dx, double dz,
                  Pieces& pieces) {
   const double width = layer.sheet_width(), half = layer.half_length;
   if (dx == 0 && x >= width) return;  // along the border: it belongs to the neighbour
@@ -60,7 +60,7 @@ inline void clip(const CgemLayer& layer, int sheet, double x, double z, double d
 // Projects entry and exit point to the read-out, by the layer's Lorentz shift in X and at unchanged z, and
 // unrolls the straight line between them, along the shorter direction in phi. Gives pieces on every sheet
 // that it touches (two at a seam or a sheet's edge).
-inline Pieces unroll(const CgemLayer& layer, const Point& entry, const Point& exit) {
+inline Pieces unroll(const MeasuringLayer& layer, const Point& entry, const Point& exit) {
   const double from = std::atan2(entry.y, entry.x);
   const double dx = layer.r_readout * wrap_angle(std::atan2(exit.y, exit.x) - from);
   const double phi = from + layer.lorentz_shift / layer.r_readout;
@@ -83,7 +83,7 @@ inline StripRange strips_between(double a, double b, int strips) {
 }
 
 // X strips of a piece. A piece lies on the sheet: its far edge belongs to the last strip.
-inline StripRange x_strips(const CgemLayer& layer, const SheetPiece& piece) {
+inline StripRange x_strips(const MeasuringLayer& layer, const SheetPiece& piece) {
   StripRange range =
       strips_between(strips_of_x(layer, piece.x1), strips_of_x(layer, piece.x2), layer.strips_x);
   range.first = std::min(range.first, range.last);
@@ -91,7 +91,7 @@ inline StripRange x_strips(const CgemLayer& layer, const SheetPiece& piece) {
 }
 
 // V strips of a piece; none in the corners of the sheet before the first and beyond the last V strip.
-inline StripRange v_strips(const CgemLayer& layer, const SheetPiece& piece) {
+inline StripRange v_strips(const MeasuringLayer& layer, const SheetPiece& piece) {
   const double v1 = std::max(0.0, local_v(layer, piece.x1, piece.z1));  // rounding at the corner where V = 0
   const double v2 = std::max(0.0, local_v(layer, piece.x2, piece.z2));
   return strips_between(strips_of_v(layer, v1), strips_of_v(layer, v2), layer.strips_v);

@@ -48,7 +48,7 @@ inline std::size_t event_end(std::span<const std::int64_t> event, std::size_t be
 
 // Throws std::invalid_argument, naming the first row with values that the kernels cannot handle.
 inline void check(const TruthColumns& truths, const Detector& detector) {
-  const auto layers = static_cast<std::int32_t>(detector.cgem.size());
+  const auto layers = static_cast<std::int32_t>(detector.layers.size());
   for (std::size_t i = 0; i < truths.size(); ++i) {
     if (truths.layer[i] < 0 || truths.layer[i] >= layers) {
       throw std::invalid_argument("truths row " + std::to_string(i) + ": layer " +
@@ -66,7 +66,7 @@ inline void check(const TruthColumns& truths, const Detector& detector) {
 // Whether the middle of a step of a delta electron lies in the drift gap. A chord between two points of the
 // inner face lies below it by its sagitta, so the mean square radius of the end points is compared. Clusters
 // of the particle itself are on the chord from entry to exit and have no effect.
-inline bool in_gap(const StepColumns& steps, std::size_t i, const CgemLayer& layer) {
+inline bool in_gap(const StepColumns& steps, std::size_t i, const MeasuringLayer& layer) {
   constexpr double rounding = 1e-3;  // mm
   const double x = steps.middle[0][i], y = steps.middle[1][i], dx = steps.d[0][i], dy = steps.d[1][i];
   const double low = layer.r_gap_in - rounding, high = layer.r_gap_out + rounding;
@@ -103,7 +103,7 @@ inline void check(const StepColumns& steps, const TruthColumns& truths, const De
     double sum = steps.energy[i];
     for (std::size_t k = 0; k < 3; ++k) sum += steps.middle[k][i] + steps.d[k][i];
     if (!std::isfinite(sum) || steps.energy[i] < 0) fail("a value is not finite, or the energy negative");
-    const CgemLayer& layer = detector.cgem[static_cast<std::size_t>(steps.layer[i])];
+    const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(steps.layer[i])];
     if (steps.is_delta(i) && !in_gap(steps, i, layer)) {
       fail("radius " + std::to_string(std::hypot(steps.middle[0][i], steps.middle[1][i])) + " mm, expected " +
            std::to_string(layer.r_gap_in) + " to " + std::to_string(layer.r_gap_out) +

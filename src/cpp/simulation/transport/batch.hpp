@@ -285,7 +285,7 @@ void simulate_in(const Detector& detector, const ParticleColumns& particles, con
 inline void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n,
                     Simulated& out) {
   out.status.reserve(n);
-  reserve_rows(out.truths, n * detector.cgem.size());
+  reserve_rows(out.truths, n * detector.layers.size());
   if (settings.deltas && settings.fluctuations == Fluctuations::full) reserve_rows(out.steps, 10 * n);
   // Tracks cross slightly more than one cell of a layer.
   reserve_rows(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));

@@ -221,7 +221,7 @@ class Flight {
 
   // A drift gap: entry, middle and exit lie on one track; then the gas acts at the middle.
   void cross_gap(const Slab& slab, const Mask& who) {
-    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
+    const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(slab.gap)];
     Point entry = point_;
     T arc(0.0), rest(0.0);
     const Mask met = motion_.to_cylinder(entry, layer.r_gap_in, arc, true, who);

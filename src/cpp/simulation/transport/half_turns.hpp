@@ -117,7 +117,7 @@ class LoopingFlight : public Flight<double, Motion> {
 
   // From the outer to the inner edge of a drift gap, at whose middle the particle is.
   void cross_gap(const Slab& slab, double since) {
-    const CgemLayer& layer = detector_.cgem[static_cast<std::size_t>(slab.gap)];
+    const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(slab.gap)];
     Point entry = point_, exit = point_;
     double before = 0, rest = 0;
     const bool enters = motion_.to_cylinder(entry, layer.r_gap_out, before, false, true);
