@@ -6,13 +6,13 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean, shown
 from cgemit.base.validate import entries
 from cgemit.detector import check
+from cgemit.detector.chamber import read_chamber
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.files import library_materials, map_path, read_field_map
 from cgemit.detector.keys import CENTRED, keys_of, plain
@@ -26,25 +26,12 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from cgemit.detector.parts import (
-    BackgroundLevel,
-    CgemLayer,
-    Contents,
-    Cylinder,
-    DriftChamber,
-    Labelled,
-    MeasurementLayer,
-    Superlayer,
-    WireLayer,
-)
+from cgemit.detector.parts import BackgroundLevel, CgemLayer, Contents, Cylinder, Labelled, MeasurementLayer
 from cgemit.detector.reader import (
     BELOW,
-    FOR_ALL_LAYERS,
-    LAST_WIRE_LAYER,
     NAME,
     TOP_LEVEL,
     UNUSABLE,
-    WIRE_NUMBER,
     Reader,
     writable,
 )
@@ -319,7 +306,7 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
     cgem = _cgem(reader, tables.get("cgem", {}))
     layer = _measuring(reader, tables.get("layer", {}))
     walls = _cylinders(reader, "walls", tables.get("walls", {}))
-    chamber = _chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
+    chamber = read_chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
     levels = _background(reader, tables.get("background", {}))
     if not cgem and not layer and not chamber and not reader.baseless:
         reader.note("", "no detector", "at least one [cgem.<label>], [layer.<label>] or a [drift_chamber]")
@@ -336,7 +323,6 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
 
 # More parts than any detector has: a mistake, or meant to exhaust the memory.
 _MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "layer": 300, "walls": 100, "background": 100, "materials": 1000}
-_MOST_WIRE_LAYERS, _MOST_CELLS = 1000, 1_000_000
 
 
 def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -491,97 +477,6 @@ def complete_measurement(reader: Reader, path: str, values: dict[str, Any]) -> N
         values["thickness"] = x0 * getattr(values["material"], "x0", UNUSABLE)
     values.setdefault("thickness", _SENSOR)
     values.setdefault("length", _LENGTH * values["radius"])
-
-
-def _chamber(reader: Reader, raw: object) -> DriftChamber | None:
-    if isinstance(raw, DriftChamber):
-        return raw
-    if not isinstance(raw, Mapping):
-        reader.mapping("drift_chamber", raw)
-        return None
-    tables = {"wire_material": "Al", **raw}
-    generated = reader.mapping("drift_chamber.superlayers", tables.pop("superlayers", {}))
-    half_length = tables.pop("half_length", None)
-    if generated and tables.get("layers"):
-        reader.note("drift_chamber.superlayers", "also layers", "one of both")
-    if half_length is not None and not generated:
-        reader.note("drift_chamber.half_length", shown(half_length), "half_length of each layer, or superlayers")
-    rows = reader.mapping("drift_chamber.layers", tables.pop("layers", {}))
-    # Values for all layers are read once, so that a mistake in one is reported once.
-    keys = {name: keys_of(WireLayer)[name] for name in FOR_ALL_LAYERS}
-    common = {
-        name: reader.value(f"drift_chamber.{name}", tables.pop(name), key)
-        for name, key in keys.items()
-        if name in tables
-    }
-    elsewhere = (*keys, "layers", "superlayers", "half_length")
-    values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=elsewhere)
-    layers = []
-    if len(rows) > _MOST_WIRE_LAYERS:
-        reader.note("drift_chamber.layers", f"{len(rows)} tables", f"at most {_MOST_WIRE_LAYERS}")
-        rows = {}
-    for number, row in rows.items():
-        if isinstance(row, WireLayer):
-            layers.append(row)
-        elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
-            found = reader.table(f"drift_chamber.layers.{number}", row, WireLayer, defaults=common, siblings=rows)
-            layers.append(WireLayer(number=int(number), **found))
-        else:
-            text = shown(str(number))
-            expected = f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}"
-            reader.note(f"drift_chamber.layers.{text[1:-1]}", text, expected)
-    layers += _generated(reader, generated, half_length, common)
-    cells = sum(layer.cells for layer in layers)
-    if cells > _MOST_CELLS:
-        reader.note("drift_chamber.layers", f"{cells} cells", f"at most {_MOST_CELLS}")
-    return DriftChamber(**values, layers=tuple(sorted(layers, key=lambda layer: layer.number)))
-
-
-def _generated(
-    reader: Reader, tables: Mapping[str, Any], half_length: object, common: Mapping[str, Any]
-) -> list[WireLayer]:
-    """Return the wire layers of superlayers, numbered from 0 from inside outward."""
-    missing = [name for name in ("sigma",) if tables and name not in common and not reader.baseless]
-    if missing:
-        reader.note("drift_chamber", "superlayers without " + ", ".join(missing), "values for all layers")
-    rows: list[dict[str, Any]] = []
-    following = math.nan
-    for label, table in tables.items():
-        path = f"drift_chamber.superlayers.{label}"
-        one = _superlayer(reader, path, table, tables, half_length, following)
-        if one is not None and len(rows) + one.layers > _MOST_WIRE_LAYERS:
-            reader.note(path, f"{len(rows) + one.layers} layers", f"at most {_MOST_WIRE_LAYERS}")
-        elif one is not None:
-            rows += one.rows()
-            following = one.edge(rows[-1]["r_mid"])
-    if missing:
-        return []
-    numbers = ({name: value for name, value in row.items() if name != "r_mid"} for row in rows)
-    return [WireLayer(number=number, **common, **row) for number, row in enumerate(numbers)]
-
-
-def _superlayer(
-    reader: Reader, path: str, table: object, siblings: Mapping[str, Any], half_length: object, following: float
-) -> Superlayer | None:
-    """Return a superlayer, None if it has problems; `following`: where the one before ends, NaN without one."""
-    if isinstance(table, Mapping) and half_length is not None:
-        table = {"half_length": half_length, **table}
-    before = len(reader.problems)
-    values = reader.table(path, table, Superlayer, siblings=siblings)
-    if "twist" in values and "stereo" in values:
-        reader.note(f"{path}.twist", "also stereo", "one of both")
-    if "r_in" not in values and math.isnan(following):
-        reader.note(path, "no r_in", "the radius of the first layer, since no superlayer is before this one")
-    values.setdefault("spacing", UNUSABLE)
-    width = values.pop("cell_width", None)
-    if (width is None) == ("cells" not in values):
-        reader.note(path, "no cells" if width is None else "both cells and cell_width", "either cells or cell_width")
-    elif width is not None:
-        values["cells"] = max(3, _floor(2 * math.pi * values.get("r_in", following) / width + 1e-9))
-    if len(reader.problems) > before:
-        return None
-    first = Superlayer(**{"r_in": following, **values})
-    return first if "r_in" in values else replace(first, r_in=first.first_behind(following))
 
 
 def complete_layer(values: dict[str, Any]) -> None:

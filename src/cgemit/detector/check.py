@@ -244,7 +244,8 @@ def _hole_problems(layer: CgemLayer) -> list[Problem]:
 @once
 def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
     if not chamber.layers:
-        return [Problem("drift_chamber.layers", "no wire layer", "at least one [drift_chamber.layers.<number>]")]
+        expected = "at least one [drift_chamber.layers.<number>] or [drift_chamber.superlayers.<label>]"
+        return [Problem("drift_chamber.layers", "no wire layer", expected)]
     problems = [problem for layer in chamber.layers for problem in _wire_problems(layer)]
     for inner, outer in pairwise(_sound_layers(chamber)):
         # The squares of the radii are linear in z squared, so that they are compared at both ends of the longer

@@ -8,6 +8,7 @@ import math
 import os
 import re
 from collections.abc import Container, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,7 +17,7 @@ from cgemit.base.files import new_file, toml_text
 from cgemit.detector.build import library
 from cgemit.detector.field import KINDS, MapField, field_text, kind_key
 from cgemit.detector.files import OWN_MAP, write_field_map
-from cgemit.detector.keys import CENTRED, Key, keys_of, once, opened, required_of
+from cgemit.detector.keys import CELLS, CENTRED, Key, keys_of, once, opened, required_of
 from cgemit.detector.material import DensityEffect, Material, elements
 from cgemit.detector.matter import ENDLESS, Slab, slabs
 from cgemit.detector.parts import (
@@ -34,7 +35,17 @@ from cgemit.detector.parts import (
     Superlayer,
     WireLayer,
 )
-from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, MOST_POINTS, NAME, STRIPS, TOP_LEVEL, WIRE_NUMBER, strip_text
+from cgemit.detector.reader import (
+    EXTRA,
+    FOR_ALL_LAYERS,
+    GENERATED,
+    MOST_POINTS,
+    NAME,
+    STRIPS,
+    TOP_LEVEL,
+    WIRE_NUMBER,
+    strip_text,
+)
 from cgemit.units import NATIVE, format_quantity, units_of
 
 
@@ -213,6 +224,9 @@ def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any
     if chamber and any(group in changed for group in ("drift_chamber", "materials", "remove")):
         layers = {str(layer.number): layer for layer in chamber.layers}
         tables["drift_chamber"] = opened(chamber) | {"layers": layers}
+        if chamber.superlayers:
+            superlayers = {part.label: part for part in chamber.superlayers}
+            tables["drift_chamber"] |= {"superlayers": superlayers, GENERATED: True}
     elif chamber:
         tables["drift_chamber"] = chamber
     return tables | {"materials": {material.name: material for material in own_materials(detector)}}
@@ -413,14 +427,19 @@ def _schema_table(kind: type, complete: bool, more: Mapping[str, Any] | None = N
 def _chamber(complete: bool) -> dict[str, Any]:
     """Return the drift chamber: values stated for all layers may be left out in each layer."""
     layer = _schema_table(WireLayer, complete)
+    superlayer = _schema_table(Superlayer, complete)
     common = {name: layer["properties"][name] for name in FOR_ALL_LAYERS}
     if complete:
         layer["required"] = [name for name in layer["required"] if name not in common]
-    layers = {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False}
-    several = _schema_table(Superlayer, complete=False)
-    more = {"layers": layers, "superlayers": _labelled(several), "half_length": several["properties"]["half_length"]}
-    found = _schema_table(DriftChamber, complete, {**common, **more})
-    return {**found, "anyOf": [{"required": [name]} for name in ("layers", "superlayers")]} if complete else found
+        superlayer["required"] = ["cells", "layers"]
+    groups = {
+        "half_length": superlayer["properties"]["half_length"],
+        "layers": {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False},
+        "superlayers": _labelled(superlayer) | {"description": "wire layers from a few numbers, from inside, by label"},
+    }
+    found = _schema_table(DriftChamber, complete, common | groups)
+    ways = [{"required": ["layers"]}, {"required": ["superlayers"]}]
+    return {**found, "oneOf": ways, "dependentRequired": {"half_length": ["superlayers"]}} if complete else found
 
 
 def _material() -> dict[str, Any]:
@@ -433,7 +452,12 @@ def _schema_value(key: Key) -> dict[str, Any]:
     limits = {} if key.low == -float("inf") else {"minimum": key.low, "maximum": key.high}
     if key.kind in NATIVE:
         return _quantity(key, limits)
-    angle = _quantity(Key("angle", key.low, key.high), limits) if key.kind == "angles" else {}
+    if key.kind == "cells":
+        return {"description": key.doc, "anyOf": [_schema_value(one) for one in CELLS.values()]}
+    if key.kind == "angles":
+        angle = _quantity(replace(key, kind="angle"), limits)
+        rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": angle}
+        return {"description": key.doc, "anyOf": [angle, rows]}
     kinds: dict[str, dict[str, Any]] = {
         "integer": {"type": "integer", **limits},
         "sign": {"enum": [-1, 1]},
@@ -451,7 +475,6 @@ def _schema_value(key: Key) -> dict[str, Any]:
         "profile": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/rate_point"}},
         "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
-        "angles": {"anyOf": [angle, {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": angle}]},
         "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
         "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},
         "numbers": {

@@ -153,6 +153,9 @@ def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
         chain.append(below)
     tables: dict[str, Any] = {}
     for link in reversed(chain):
+        chamber = link.tables.get("drift_chamber")
+        if isinstance(chamber, Mapping) and {"layers", "superlayers"} <= chamber.keys():
+            problems.append(Problem("drift_chamber", "both layers and superlayers", "one of them"))
         tables = merged(tables, link.tables, problems)
     return tables
 

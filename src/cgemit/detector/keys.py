@@ -81,11 +81,12 @@ class Key(Quantity):
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',
-            "angles": "an angle with its unit, or a list of angles",
             "strips": 'a list such as ["0:17", "1:100-120"]: sheet, and strip or first and last strip, from 0',
             "gains": "a list with a number for each sheet, or rows along z of numbers along X; numbers",
             "profile": "a list of { r, rate } with increasing r",
             "counts": "a list of at most 100 numbers from 0, not all 0",
+            "cells": 'a whole number of cells, or their width such as "12 mm"',
+            "angles": "an angle, or a list of angles to use in turn, in rad",
         }
         text = texts.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):
@@ -98,6 +99,10 @@ class Key(Quantity):
 def key(kind: str, doc: str, low: float = -float("inf"), high: float = float("inf"), **more: Any) -> dict[str, Key]:
     """Return the metadata of a dataclass field that is a key of the detector file."""
     return {"key": Key(kind, low, high, doc=doc, **more)}
+
+
+#: Range of a value of the kind "cells": a number of cells, or their width.
+CELLS = {int: Key("integer", 4, 10_000), float: Key("length", 0.5, 1000.0)}
 
 
 class Known(NamedTuple):

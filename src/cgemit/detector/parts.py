@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, SupportsIndex, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, SupportsIndex, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -648,59 +648,51 @@ class WireLayer(Part):
         )
 
 
+def _of_wires(name: str) -> Any:
+    """Return a dataclass field like that of a wire layer."""
+    one = WireLayer.__dataclass_fields__[name]
+    return field(metadata=one.metadata, default=one.default)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Superlayer(Part):
-    """Wire layers side by side with as many cells each, as a detector file may state them in place of the layers."""
+    """Wire layers of a detector file that follow from a few numbers (docs/methods/detector.md).
 
-    layers: int = field(metadata=key("integer", "number of layers", 1, 1000))
-    r_in: float = field(
-        metadata=key(
-            "length", "radius of the first layer's wires at z = 0 (default: behind the superlayer before)", 1.0, 3000.0,
-            derived=True,
-        )
-    )  # fmt: skip
-    cells: int = field(metadata=key("integer", "cells of each layer", 3, 10_000, derived=True))
-    spacing: float = field(
-        metadata=key("length", "distance of two layers at z = 0 (default: width of a cell)", 0.1, 500.0, derived=True)
+    Examples
+    --------
+    >>> rows = {"A": {"layers": 8, "r_in": "350 mm", "cells": 192, "stereo": ["50 mrad", "-50 mrad"]}}
+    >>> chamber = {"gas": "MdcGas", "sigma": "100 um", "half_length": "2000 mm", "superlayers": rows}
+    >>> wires = cg.load({"field": {"bz": "2 T"}, "drift_chamber": chamber}).drift_chamber.layers
+    >>> [(layer.cells, round(layer.r_mid, 1), round(layer.r_end, 1)) for layer in wires[:2]]
+    [(192, 355.8, 369.6), (192, 367.7, 381.0)]
+    """
+
+    label: str
+    layers: int = field(metadata=key("integer", "number of wire layers", 1, 1000))
+    r_in: float | None = field(  # None: where the superlayer before ends
+        metadata=key("length", "inner border of the cells of the first layer at z = 0", 1.0, 3000.0), default=None
     )
-    half_length: float = field(metadata=key("length", "half length of the wires along the beam", 1.0, 5000.0))
+    cells: int | float = field(metadata=key("cells", "cells of each layer, or their width at z = 0"))
+    height: float | None = field(  # None: the width of the cells
+        metadata=key("length", "radial size of the cells at z = 0", 0.5, 1000.0), default=None
+    )
     stereo: tuple[float, ...] = field(
-        metadata=key("angles", "angles of the wires to the beam, used in turn", -1.0, 1.0), default=(0.0,)
+        metadata=key("angles", "angle of the wires to the beam axis, of the layers in turn", -1.0, 1.0), default=()
     )
     twist: tuple[float, ...] = field(
-        metadata=key("angles", "azimuth at +z minus at -z in place of stereo, used in turn", -1.5, 1.5), default=()
+        metadata=key(
+            "angles", "azimuth at +z minus at -z, instead of stereo, of the layers in turn", -math.pi / 2, math.pi / 2
+        ),
+        default=(),
     )
-    stagger: bool = field(metadata=key("boolean", "whether every other layer is turned by half a cell"), default=True)
-    phi: float = field(
-        metadata=key("angle", "azimuth of wire 0 of the first layer at z = 0", -2 * math.pi, 2 * math.pi), default=0.0
-    )
-
-    def rows(self) -> Iterator[dict[str, float]]:
-        """Yield r_mid, cells, r_end, half_length, twist_cells and phi_east of each layer.
-
-        A wire at radius r at z = 0 with the angle a to the beam ends at r / cos(t), turned by 2 t, with
-        tan t = half_length tan(a) / r, or with the twist 2 t.
-        """
-        r, cell = self.r_in, 2 * math.pi / self.cells
-        for number in range(self.layers):
-            if self.twist:
-                half = 0.5 * self.twist[number % len(self.twist)]
-            else:
-                half = math.atan(self.half_length * math.tan(self.stereo[number % len(self.stereo)]) / r)
-            middle = self.phi + (0.5 * cell if self.stagger and number % 2 else 0.0)
-            yield {
-                "r_mid": r, "cells": self.cells, "r_end": r / math.cos(half), "half_length": self.half_length,
-                "twist_cells": 2 * half / cell, "phi_east": math.remainder(middle + half, 2 * math.pi),
-            }  # fmt: skip
-            r = self.first_behind(self.edge(r))
-
-    def edge(self, r: float) -> float:
-        """Return where the cells of a layer at r end, mm: half a cell behind their wires, or half the spacing."""
-        return r * (1 + math.pi / self.cells) if math.isnan(self.spacing) else r + 0.5 * self.spacing
-
-    def first_behind(self, edge: float) -> float:
-        """Return the radius of the layer whose cells begin at an edge, mm."""
-        return edge / (1 - math.pi / self.cells) if math.isnan(self.spacing) else edge + 0.5 * self.spacing
+    stagger: bool = field(metadata=key("boolean", "whether odd layers are turned by half a cell"), default=True)
+    half_length: float = _of_wires("half_length")  # mm
+    sigma: float = _of_wires("sigma")  # mm
+    sigma_slope: float = _of_wires("sigma_slope")
+    efficiency: float = _of_wires("efficiency")
+    wire_x0: float = _of_wires("wire_x0")
+    signal_speed: float = _of_wires("signal_speed")  # mm/ns
+    readout_end: str = _of_wires("readout_end")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -726,6 +718,8 @@ class DriftChamber(Placed):
         metadata=key("integer", "running number of the innermost layer's wire 0", 0, 1_000_000), default=0
     )
     layers: tuple[WireLayer, ...] = ()
+    # What the layers were made of, for changes by `with_overrides`; no part of the content.
+    superlayers: tuple[Superlayer, ...] = field(default=(), compare=False)
 
     def __repr__(self) -> str:
         return f"<drift chamber: {self.text()}>"

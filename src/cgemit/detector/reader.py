@@ -12,9 +12,9 @@ from typing import Any
 
 from cgemit.base.errors import Problem, Problems, did_you_mean, joined, shown
 from cgemit.base.validate import NO, entries
-from cgemit.detector.keys import CENTRED, Key, Known, keys_of, opened, plain, required_of
+from cgemit.detector.keys import CELLS, CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import CgemLayer, MeasurementLayer, RatePoint, SubLayer, Superlayer
+from cgemit.detector.parts import CgemLayer, MeasurementLayer, RatePoint, SubLayer
 from cgemit.units import NATIVE
 
 #: Sheet and strips of a list of strips.
@@ -53,7 +53,7 @@ TOP_LEVEL = {
     "layer": "other layers that measure positions, by label",
     "walls": "further cylinders by label",
     "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, signal_speed, readout_end hold for "
-    "layers without their own",
+    "layers without their own, half_length for superlayers without their own",
     "background": "levels of background by label",
     "materials": "materials by name",
 }
@@ -77,7 +77,6 @@ EXTRA: dict[type, dict[str, Key]] = {
         "pitch": Key("length", 1e-3, 100.0, doc="pitch of both coordinates, for pitch_x and pitch_v"),
         "x0": Key("dimensionless", 1e-7, 0.5, doc="thickness of the sensor in radiation lengths, for thickness"),
     },
-    Superlayer: {"cell_width": Key("length", 0.5, 500.0, doc="width of a cell of the first layer, for cells")},
     Material: {"base": Key("text", doc="the material that this one is, at another density")},
     SubLayer: {
         "label": Key("text", doc="label of the sub-layer; the material's name if left out"),
@@ -281,14 +280,21 @@ class Reader:
             return (1,)
         return tuple(numbers)
 
+    def _cells(self, path: str, raw: object, key: Key) -> Any:
+        if isinstance(raw, str):
+            return self.value(path, raw, CELLS[float])
+        if isinstance(raw, int) and not isinstance(raw, bool):
+            return self.value(path, raw, CELLS[int])
+        return self.note(path, shown(raw), key.expected())
+
     def _angles(self, path: str, raw: object, key: Key) -> Any:
-        one = Key("angle", key.low, key.high)
-        if not isinstance(raw, list):
-            return (self.value(path, raw, one),)
-        if not 0 < len(raw) <= MOST_POINTS:
+        given = raw if isinstance(raw, list) else [raw]
+        if not 0 < len(given) <= MOST_POINTS:
             self.note(path, shown(raw), key.expected())
             return (UNUSABLE,)
-        return tuple(self.value(f"{path}[{i}]", angle, one) for i, angle in enumerate(raw))
+        places = [f"{path}[{i}]" for i in range(len(given))] if isinstance(raw, list) else [path]
+        angle = Key("angle", key.low, key.high)
+        return tuple(self.value(place, one, angle) for place, one in zip(places, given, strict=True))
 
     def _strips(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list):
@@ -369,6 +375,9 @@ FOR_ALL_LAYERS = {
     "readout_end": ("readout_end",),
 }
 
+#: Key of a drift chamber whose layers have been made of its superlayers.
+GENERATED = "<generated>"
+
 
 def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:
     """Return `base` with the tables of `variant` laid over it; what `variant["remove"]` names is taken out first.
@@ -388,13 +397,7 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
             if isinstance(layer, Mapping):
                 drop(_open(_tables(result, group), label), layer)
     _drop_field(result, _tables(variant, "field"))
-    chamber = variant.get("drift_chamber")
-    if isinstance(chamber, Mapping):
-        for name in FOR_ALL_LAYERS.keys() & chamber.keys():
-            layers = _tables(_tables(result, "drift_chamber"), "layers")
-            for layer in (_open(layers, number) for number in layers):
-                for old in FOR_ALL_LAYERS[name]:
-                    layer.pop(old, None)
+    _drop_wires(_tables(result, "drift_chamber"), variant)
     _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
     for group, layers in copies.items():
         for label, layer in layers.items():
@@ -497,6 +500,27 @@ def _drop_replaced(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
 
 #: What of a layer of the base goes where a variant changes it, by group.
 _DROPS = {"cgem": _drop_derived, "layer": _drop_replaced}
+
+
+def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Remove the values of the base's layers that the variant replaces; all layers if it changes superlayers."""
+    changes, superlayers = _tables(variant, "drift_chamber"), _tables(chamber, "superlayers")
+    for name in FOR_ALL_LAYERS.keys() & changes.keys():
+        for group in (_tables(chamber, "layers"), superlayers):
+            for part in (_open(group, label) for label in group):
+                for old in FOR_ALL_LAYERS[name]:
+                    part.pop(old, None)
+    removed = str(variant.get("remove", ""))
+    if "superlayers" in changes or "drift_chamber.superlayers" in removed or (superlayers and "half_length" in changes):
+        chamber.pop("layers", None)
+        chamber.pop(GENERATED, None)
+    for label in superlayers:
+        if "half_length" in changes:
+            _open(superlayers, label).pop("half_length", None)
+        own = _tables(_tables(changes, "superlayers"), label)
+        for name, other in (("stereo", "twist"), ("twist", "stereo")):
+            if name in own:
+                _open(superlayers, label).pop(other, None)
 
 
 def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
-from cgemit.detector.keys import Key, Known, Part, keys_of, once
+from cgemit.detector.keys import CELLS, Key, Known, Part, keys_of, once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, MeasurementLayer, SubLayer
 from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
@@ -157,6 +157,7 @@ def _values(part: Part) -> dict[str, Any]:
     values = {name: getattr(part, name) for name in keys_of(kind)}
     if isinstance(part, DriftChamber):
         values["layers"] = {str(layer.number): layer for layer in part.layers}
+        values["superlayers"] = {one.label: one for one in part.superlayers}
     return values
 
 
@@ -170,7 +171,10 @@ def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
         return node.thickness / node.material.x0, EXTRA[MeasurementLayer]["x0"]
     kind: Any = type(node)
     keys = keys_of(kind) if dataclasses.is_dataclass(node) else {}
-    return (getattr(node, last), keys[last]) if last in keys else None
+    if last not in keys:
+        return None
+    value, key = getattr(node, last), keys[last]
+    return value, CELLS[type(value)] if key.kind == "cells" else key
 
 
 def values_at(detector: Contents, keys: str, problems: list[Problem]) -> list[tuple[Any, Key] | None]:
@@ -218,6 +222,8 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
         return {path: Known(round(number * factor))}
     if (key.kind in NATIVE and number is not None) or (key.kind == "offset" and isinstance(number, float)):
         return {path: Known(number * factor)}
+    if key.kind == "angles" and number:
+        return {path: Known(tuple(angle * factor for angle in number))}
     if key.kind not in ("text", "material", "gas"):
         given = f"{shown(value)} times {number}" if key.kind == "integer" else shown(value)
         problems.append(Problem(path, given, key.expected()))

@@ -265,7 +265,7 @@ def test_every_key_is_documented() -> None:
     def walk(node: Any) -> None:
         if isinstance(node, dict):
             for name, inner in node.get("properties", {}).items() if isinstance(node.get("properties"), dict) else ():
-                assert "description" in inner or name in ("layers", "superlayers", "c", "x0", "x1", "a", "k"), name
+                assert "description" in inner or name in ("layers", "c", "x0", "x1", "a", "k"), name
             for inner in node.values():
                 walk(inner)
 

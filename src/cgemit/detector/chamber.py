@@ -1,0 +1,178 @@
+"""Read a drift chamber: layers row by row, or generated from superlayers (docs/methods/detector.md)."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cgemit.base.errors import shown
+from cgemit.detector.keys import CELLS, Key, Known, keys_of
+from cgemit.detector.parts import DriftChamber, Superlayer, WireLayer
+from cgemit.detector.reader import FOR_ALL_LAYERS, GENERATED, LAST_WIRE_LAYER, UNUSABLE, WIRE_NUMBER, Reader
+from cgemit.units import NATIVE
+
+# More than any detector has: a mistake, or meant to exhaust the memory.
+_MOST_WIRE_LAYERS, _MOST_CELLS = 1000, 1_000_000
+_TOUCH = 1e-6  # mm
+
+
+def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
+    """Return the drift chamber of a table; None if it is no table."""
+    if isinstance(raw, DriftChamber):
+        return raw
+    if not isinstance(raw, Mapping):
+        reader.mapping("drift_chamber", raw)
+        return None
+    tables = {"wire_material": "Al", **raw}
+    rows = reader.mapping("drift_chamber.layers", tables.pop("layers", {}))
+    groups = reader.mapping("drift_chamber.superlayers", tables.pop("superlayers", {}))
+    generated = tables.pop(GENERATED, False)
+    # Values for all layers are read once, so that a mistake in one is reported once.
+    for_all = (*FOR_ALL_LAYERS, "half_length") if "superlayers" in raw else FOR_ALL_LAYERS
+    keys = {name: keys_of(WireLayer)[name] for name in for_all}
+    common = {
+        name: reader.value(f"drift_chamber.{name}", tables.pop(name), key)
+        for name, key in keys.items()
+        if name in tables
+    }
+    values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=(*keys, "layers", "superlayers"))
+    superlayers = _superlayers(reader, groups, common)
+    if groups and not generated:
+        rows = _laid_over(_wire_rows(reader, superlayers), rows)
+    layers = []
+    if len(rows) > _MOST_WIRE_LAYERS:
+        reader.note("drift_chamber.layers", f"{len(rows)} tables", f"at most {_MOST_WIRE_LAYERS}")
+        rows = {}
+    for number, row in rows.items():
+        if isinstance(row, WireLayer):
+            layers.append(row)
+        elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
+            found = reader.table(f"drift_chamber.layers.{number}", row, WireLayer, defaults=common, siblings=rows)
+            layers.append(WireLayer(number=int(number), **found))
+        else:
+            text = shown(str(number))
+            expected = f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}"
+            reader.note(f"drift_chamber.layers.{text[1:-1]}", text, expected)
+    cells = sum(layer.cells for layer in layers)
+    if cells > _MOST_CELLS:
+        reader.note("drift_chamber.layers", f"{cells} cells", f"at most {_MOST_CELLS}")
+    ordered = tuple(sorted(layers, key=lambda layer: layer.number))
+    return DriftChamber(**values, layers=ordered, superlayers=tuple(superlayers))
+
+
+def _laid_over(generated: dict[str, Any], rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return generated rows with the values of others in their place."""
+    for number, row in rows.items():
+        both = number in generated and isinstance(row, Mapping)
+        generated[number] = {**generated[number], **row} if both else row
+    return generated
+
+
+def _superlayers(reader: Reader, tables: Mapping[str, Any], common: Mapping[str, Any]) -> list[Superlayer]:
+    """Return superlayers in the order of the file, their values checked."""
+    found = []
+    for label, table in tables.items():
+        if isinstance(table, Superlayer):
+            found.append(table)
+            continue
+        path = f"drift_chamber.superlayers.{label}"
+        values = reader.table(path, table, Superlayer, defaults=common, siblings=tables)
+        for name, key in keys_of(Superlayer).items():  # relative values have not been checked
+            value = values.get(name)
+            limits = CELLS[int if isinstance(value, int) else float] if key.kind == "cells" else key
+            if not all(_fits(reader, f"{path}.{name}", one, limits) for one in _numbers(value)):
+                values[name] = (UNUSABLE,) if key.kind == "angles" else UNUSABLE
+        if values.get("stereo") and values.get("twist"):
+            reader.note(f"{path}.twist", "both stereo and twist", "one of them: each follows from the other")
+        found.append(Superlayer(label=str(label), **values))
+    return found
+
+
+def _numbers(value: Any) -> list[int | float]:
+    values = value if isinstance(value, tuple) else (value,)
+    return [one for one in values if isinstance(one, int | float) and not isinstance(one, bool)]
+
+
+def _fits(reader: Reader, path: str, value: float, key: Key, of: str = "") -> bool:
+    """Return whether a number is in the range of its key, and note the problem; unusable ones have theirs already."""
+    if math.isnan(value) or key.admits(value):
+        return True
+    unit = NATIVE.get("angle" if key.kind == "angles" else key.kind, "")
+    reader.note(path, f"{value:.6g} {unit}".rstrip() + of, key.expected())
+    return False
+
+
+def _wire_rows(reader: Reader, superlayers: Sequence[Superlayer]) -> dict[str, Any]:
+    """Return the tables of all wire layers by number, from 0; the first problem of each superlayer is noted."""
+    total = sum(1 if math.isnan(one.layers) else one.layers for one in superlayers)
+    if total > _MOST_WIRE_LAYERS:
+        reader.note("drift_chamber.superlayers", f"{total} layers", f"at most {_MOST_WIRE_LAYERS}")
+        superlayers = ()
+    rows: list[dict[str, Any]] = []
+    border, before = UNUSABLE, ""  # where the superlayer before ends
+    for one in superlayers:
+        path = f"drift_chamber.superlayers.{one.label}"
+        start = border if one.r_in is None else one.r_in
+        if one.r_in is None and one is superlayers[0] and not reader.baseless:
+            reader.note(f"{path}.r_in", "nothing", "the inner border of the innermost superlayer")
+        if start < border - _TOUCH:
+            expected = f"at least {border:.6g} mm, the outer border of {before}: superlayers from inside outward"
+            reader.note(f"{path}.r_in", f"{start:g} mm", expected)
+            start = UNUSABLE
+        good, border, before = True, start, one.label
+        for i in range(1 if math.isnan(one.layers) else one.layers):
+            row, border = _wire_row(one, i, border, shifted=one.stagger and len(rows) % 2 == 1)
+            good = good and _possible(reader, path, one, row, len(rows))
+            rows.append({name: getattr(one, name) for name in FOR_ALL_LAYERS} | row if good else _UNUSABLE_ROW)
+    rows = rows or [_UNUSABLE_ROW]
+    return {str(number): {name: Known(value) for name, value in row.items()} for number, row in enumerate(rows)}
+
+
+_UNUSABLE_ROW = dict.fromkeys(keys_of(WireLayer), UNUSABLE)
+
+
+def _wire_row(one: Superlayer, i: int, border: float, *, shifted: bool) -> tuple[dict[str, Any], float]:
+    """Return the wires of layer `i` of a superlayer and the outer border of its cells, which begin at a border.
+
+    Radii are those at z = 0. There, the cells of a count are as high as wide, h = 2 pi r/n with r = border + h/2.
+    """
+    width = one.cells if isinstance(one.cells, float) else None
+    share = math.pi / one.cells  # half a cell in rad, of a count
+    height = one.height or width or 2 * border * share / (1 - share)
+    r_mid = border + 0.5 * height
+    cells = one.cells if width is None else _whole(2 * math.pi * r_mid / width)
+    if one.twist:
+        twist = one.twist[i % len(one.twist)]
+    else:
+        angle = one.stereo[i % len(one.stereo)] if one.stereo else 0.0
+        twist = 2 * math.atan(one.half_length * math.tan(angle) / r_mid)
+    row = {
+        "cells": cells,
+        "r_end": r_mid / math.cos(0.5 * twist),
+        "half_length": one.half_length,
+        "twist_cells": twist * cells / (2 * math.pi),
+        "phi_east": 0.5 * twist + (math.pi / cells if shifted and cells else 0.0),
+    }
+    return row, border + height
+
+
+def _whole(value: float) -> int | float:
+    return value if math.isnan(value) else round(value)
+
+
+def _possible(reader: Reader, path: str, one: Superlayer, row: Mapping[str, Any], number: int) -> bool:
+    """Return whether a layer is possible, and note its problem, that of the first key that causes it."""
+    turn = 2 * math.pi * abs(row["twist_cells"]) / row["cells"] if row["cells"] else 0.0
+    if turn > math.pi / 2 + 1e-9:
+        r_mid = row["r_end"] * math.cos(0.5 * turn)
+        most = 1000 * math.atan(r_mid / one.half_length)
+        given = f"a twist of {math.degrees(turn):.4g} deg of layer {number}"
+        reader.note(f"{path}.stereo", given, f"at most a quarter turn, here {most:.4g} mrad")
+        return False
+    causes = {"cells": "cells", "r_end": "layers", "twist_cells": "stereo"}
+    return all(
+        _fits(reader, f"{path}.{causes[name]}", row[name], keys_of(WireLayer)[name], f" ({name} of layer {number})")
+        for name in causes
+    )

@@ -1,0 +1,257 @@
+"""Wire layers generated from superlayers."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+import cgemit as cg
+from cgemit.detector import DetectorError, WireLayer, schema
+
+GAS = {"density": "3.913e-4 g/cm3", "composition": {"He": 0.3827, "C": 0.5103, "H": 0.1070}, "gas": True}
+A1 = {"layers": 8, "r_in": "350 mm", "cells": "12 mm", "stereo": ["50 mrad", "-50 mrad"]}
+A2 = {"layers": 4, "r_in": "460 mm", "cells": 240, "height": "15 mm", "stereo": "100 mrad", "sigma": "90 um"}
+
+
+def chamber(*superlayers: dict[str, Any], **more: Any) -> dict[str, Any]:
+    labelled = {f"A{i}": one for i, one in enumerate(superlayers, start=1)}
+    common = {"gas": "Own", "sigma": "100 um", "half_length": "2000 mm"}
+    return {
+        "name": "own", "field": {"kind": "uniform", "bz": "2 T"}, "materials": {"Own": GAS},
+        "drift_chamber": common | {"superlayers": labelled} | more,
+    }  # fmt: skip
+
+
+def layers_of(tables: dict[str, Any] | cg.Detector) -> tuple[WireLayer, ...]:
+    found = cg.load(tables).drift_chamber
+    assert found
+    return found.layers
+
+
+def idea() -> dict[str, Any]:
+    """Return 14 superlayers of eight layers with a twist of 30 deg, signs in turn, as in the IDEA chamber."""
+    rows: list[dict[str, Any]] = [
+        {"layers": 8, "cells": 192 + 48 * i, "twist": ["30 deg", "-30 deg"]} for i in range(14)
+    ]
+    return chamber({"r_in": "350 mm", **rows[0]}, *rows[1:])
+
+
+def problems(tables: dict[str, Any]) -> list[tuple[str, str]]:
+    with pytest.raises(DetectorError) as caught:
+        cg.load(tables)
+    return [(problem.path.removeprefix("drift_chamber."), problem.given) for problem in caught.value.problems]
+
+
+def test_numbers_by_hand() -> None:
+    """The first layer at 356 mm: 2 pi 356/12 = 186.4; tan(50 mrad) 2000 mm = 100.083 mm."""
+    layers = layers_of(chamber(A1))
+    assert [layer.number for layer in layers] == list(range(8))
+    assert [layer.cells for layer in layers] == [186, 193, 199, 205, 212, 218, 224, 230]
+    assert [layer.r_mid for layer in layers] == pytest.approx([356 + 12 * i for i in range(8)])
+    first, second = layers[:2]
+    assert first.r_end == pytest.approx(math.hypot(356, 100.083417), abs=1e-6)
+    assert first.twist == pytest.approx(2 * math.atan(100.083417 / 356), abs=1e-8)
+    assert second.twist == pytest.approx(-2 * math.atan(100.083417 / 368), abs=1e-8)
+    assert (first.half_length, first.sigma) == (2000.0, 0.1)
+
+
+def test_wires_have_the_stereo_angle() -> None:
+    """A positive angle is that of a wire whose azimuth grows with z; all points at the end plates at +-2 m."""
+    for layer, angle in zip(layers_of(chamber(A1)), [0.05, -0.05] * 4, strict=True):
+        east, west = layer.end_points(5)
+        mid_phi = math.atan2(east[1] + west[1], east[0] + west[0])
+        across = -math.sin(mid_phi) * (east[0] - west[0]) + math.cos(mid_phi) * (east[1] - west[1])
+        assert math.atan2(across, east[2] - west[2]) == pytest.approx(angle)
+        assert math.hypot(*(0.5 * (a + b) for a, b in zip(east[:2], west[:2], strict=True))) == pytest.approx(
+            layer.r_mid
+        )
+
+
+def test_neighbours_are_staggered_at_the_middle() -> None:
+    def azimuths(stagger: bool) -> list[float]:
+        """Return the azimuth of wire 0 at z = 0, in cells."""
+        layers = layers_of(chamber(A1 | {"stagger": stagger}))
+        return [(layer.phi_east - 0.5 * layer.twist) * layer.cells / (2 * math.pi) for layer in layers]
+
+    assert azimuths(stagger=True) == pytest.approx([0, 0.5] * 4)
+    assert azimuths(stagger=False) == pytest.approx([0] * 8)
+
+
+def test_superlayers_follow_each_other() -> None:
+    layers = layers_of(chamber(A1, {"layers": 2, "cells": 300, "stereo": "60 mrad"}, A2 | {"r_in": "600 mm"}))
+    assert layers[8].r_mid == pytest.approx(446 / (1 - math.pi / 300))  # cells as high as wide begin at 350 + 8 * 12 mm
+    height = layers[8].r_mid * 2 * math.pi / 300
+    assert 446 + 0.5 * height == pytest.approx(layers[8].r_mid)
+    assert [layer.cells for layer in layers[8:]] == [300, 300, 240, 240, 240, 240]
+    assert [layer.r_mid for layer in layers[10:]] == pytest.approx([607.5, 622.5, 637.5, 652.5])
+    assert [layer.sigma for layer in layers] == [0.1] * 10 + [0.09] * 4
+    axial = layers_of(chamber(A1 | {"stereo": "0 mrad"}))
+    assert all((layer.twist, layer.r_end) == (0.0, layer.r_mid) for layer in axial)
+    assert axial == layers_of(chamber({name: value for name, value in A1.items() if name != "stereo"}))
+
+
+def test_idea_has_its_cells_and_angles() -> None:
+    """56 448 cells in 112 layers; stereo angles from 50 to 250 mrad (both from its publications)."""
+    detector = cg.load(idea())
+    layers = layers_of(detector)
+    assert (len(layers), sum(layer.cells for layer in layers)) == (112, 56448)
+    tilts = [math.atan(layer.r_end * math.sin(0.5 * layer.twist) / 2000) for layer in layers]
+    assert (tilts[0], tilts[-1]) == pytest.approx((0.048, -0.246), abs=1e-3)
+    assert layers[-1].r_end < 2000
+    widths = [2 * math.pi * layer.r_mid / layer.cells for layer in layers]
+    assert 11 < min(widths) < max(widths) < 15
+    assert len(layers_of(chamber(A1 | {"layers": 112, "cells": "13.7 mm"}))) == 112
+
+
+def test_idea_is_simulated_and_fitted() -> None:
+    detector = cg.load(idea())
+    sigma = cg.analytic(detector, "mu-", p=[1.0, 10.0], cos_theta=0.0).sigma("dr")  # um
+    assert sigma.shape == (2,)
+    assert all(20 < value < 200 for value in sigma)
+    result = cg.run(detector, cg.Gun("mu-", p=1.0, cos_theta=0.0), n=20, seed=1)
+    assert (result.tracks["status"] == 0).sum() >= 19
+    assert result.tracks["n_wires"].mean() > 100
+    assert result.tracks["p"].mean() == pytest.approx(1.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"stereo": "50"}, [("superlayers.A1.stereo", '"50" (no unit)')]),
+        ({"stereo": ["50 mrad", "2 rad"]}, [("superlayers.A1.stereo[1]", '"2 rad"')]),
+        ({"stereo": []}, [("superlayers.A1.stereo", "a list of 0")]),
+        ({"stereo": "300 mrad"}, [("superlayers.A1.stereo", "a twist of 120.2 deg of layer 0")]),
+        ({"stereo": "50 mrad", "twist": "1 deg"}, [("superlayers.A1.twist", "both stereo and twist")]),
+        ({"cells": 3}, [("superlayers.A1.cells", "3")]),
+        ({"cells": 200.0}, [("superlayers.A1.cells", "200.0")]),
+        ({"cells": "900 mm", "height": "12 mm"}, [("superlayers.A1.cells", "2 (cells of layer 0)")]),
+        ({"height": "0 mm"}, [("superlayers.A1.height", '"0 mm"')]),
+        ({"stagger": 1}, [("superlayers.A1.stagger", "1")]),
+        ({"layers": 1001}, [("superlayers.A1.layers", "1001")]),
+        ({"layers": 300}, [("superlayers.A1.layers", "3009.66 mm (r_end of layer 221)")]),
+        ({"r_in": "500 mm"}, [("superlayers.A2.r_in", "460 mm")]),
+        ({"wires": 8}, [("superlayers.A1.wires", "an unknown key")]),
+    ],
+)
+def test_mistakes(change: dict[str, Any], expected: list[tuple[str, str]]) -> None:
+    outer = [] if "layers" in change else [A2]
+    assert [(path, given[: len(expected[0][1])]) for path, given in problems(chamber(A1 | change, *outer))] == expected
+
+
+def test_all_problems_are_listed() -> None:
+    first = {"layers": "8", "cells": "12 mm", "stereo": "50 T"}
+    found = problems(chamber(first, {"r_in": "400 mm", "cells": 200}, A2 | {"r_in": "9 m"}, half_length="2000"))
+    assert [path for path, _ in found] == [
+        "half_length", "superlayers.A1.layers", "superlayers.A1.stereo", "superlayers.A2", "superlayers.A3.r_in",
+        "superlayers.A1.r_in",
+    ]  # fmt: skip
+    assert problems(chamber())[-1] == ("layers", "no wire layer")
+    assert problems(chamber(A1, layers={}))[0] == ("drift_chamber", "both layers and superlayers")
+    assert problems(chamber(A1 | {"layers": 600}, {"layers": 600, "cells": 300})) == [("superlayers", "1200 layers")]
+    own = chamber(A1)
+    del own["drift_chamber"]["half_length"]
+    assert problems(own) == [("superlayers.A1", "only layers, r_in, cells, stereo")]
+
+
+def test_wires_of_an_axial_superlayer_may_not_cross_those_of_a_stereo_one() -> None:
+    """At the end plates, the stereo wires at 440 mm are at hypot(440, 100) = 451 mm, the axial ones still at 448 mm."""
+    near = {"layers": 4, "cells": "12 mm"}
+    assert problems(chamber(A1, near | {"height": "4 mm"}))[0][0] == "layers.8"
+    assert len(layers_of(chamber(A1, near | {"r_in": "455 mm"}))) == 12
+
+
+def test_it_writes_plain_layers_and_reads_them_back() -> None:
+    detector = cg.load(chamber(A1, A2))
+    tables = tomllib.loads(detector.to_toml())
+    assert len(tables["drift_chamber"]["layers"]) == 12
+    assert "superlayers" not in tables["drift_chamber"]
+    again = cg.load(tables)
+    assert again == detector
+    assert again.content_hash == detector.content_hash
+
+
+def test_single_layers_can_be_changed() -> None:
+    detector = cg.load(chamber(A1, A2))
+    changed = layers_of(detector.with_overrides({"drift_chamber.layers.3.sigma": "70 um"}))
+    assert [layer.sigma for layer in changed] == [0.1] * 3 + [0.07] + [0.1] * 4 + [0.09] * 4
+    assert changed[3].r_end == layers_of(detector)[3].r_end
+    fewer = detector.with_overrides({"remove": ["drift_chamber.layers.3"]})
+    assert len(layers_of(fewer.with_overrides({"materials.Own.density": "4e-4 g/cm3"}))) == 11
+    assert len(layers_of(fewer.with_overrides({"drift_chamber.sigma": "80 um"}))) == 11
+    assert {layer.sigma for layer in layers_of(fewer.with_overrides({"drift_chamber.sigma": "80 um"}))} == {0.08}
+
+
+def test_superlayers_can_be_changed() -> None:
+    detector = cg.load(chamber(A1, A2))
+    changes: dict[str, tuple[Any, dict[str, Any]]] = {
+        "A1.cells": ("13 mm", chamber(A1 | {"cells": "13 mm"}, A2)),
+        "A2.cells": ("x2", chamber(A1, A2 | {"cells": 480})),
+        "A1.stereo": ("x0.5", chamber(A1 | {"stereo": ["25 mrad", "-25 mrad"]}, A2)),
+        "A1.twist": ("10 deg", chamber({k: v for k, v in A1.items() if k != "stereo"} | {"twist": "10 deg"}, A2)),
+        "*.layers": (2, chamber(A1 | {"layers": 2}, A2 | {"layers": 2})),
+        "A3": (A2 | {"r_in": "600 mm", "half_length": "2 m"}, chamber(A1, A2, A2 | {"r_in": "600 mm"})),
+    }
+    for key, (value, same) in changes.items():
+        assert layers_of(detector.with_overrides({f"drift_chamber.superlayers.{key}": value})) == layers_of(same)
+    shorter = detector.with_overrides({"drift_chamber.half_length": "1500 mm"})
+    assert layers_of(shorter) == layers_of(chamber(A1, A2, half_length="1500 mm"))
+    both = {"drift_chamber.superlayers.A1.layers": 4, "drift_chamber.layers.3.efficiency": 0.9}
+    assert [layer.efficiency for layer in layers_of(detector.with_overrides(both))] == [1.0] * 3 + [0.9] + [1.0] * 4
+    assert layers_of(detector.with_overrides({"remove": ["drift_chamber.superlayers.A2"]})) == layers_of(chamber(A1))
+    following = cg.load(chamber(A1, {"layers": 2, "cells": 300}, half_length="500 mm"))
+    with pytest.raises(DetectorError, match=r"superlayers\.A2\.r_in: got nothing"):
+        following.with_overrides({"remove": ["drift_chamber.superlayers.A1"]})
+    with pytest.raises(DetectorError, match=r"superlayers\.A1: got only cells"):
+        cg.load(tomllib.loads(detector.to_toml())).with_overrides({"drift_chamber.superlayers.A1.cells": "14 mm"})
+
+
+def test_bounds_and_sweeps_of_generator_keys() -> None:
+    detector = cg.load(chamber(A1, A2))
+    low, high = detector.bounds("drift_chamber.superlayers.A1.cells")
+    assert (low, high) == pytest.approx((0.5, 13.75))  # eight layers of 13.75 mm from 350 to 460 mm
+    assert detector.bounds("drift_chamber.superlayers.A1.r_in")[1] == pytest.approx(364)
+    table = cg.study.sweep(
+        detector, {"drift_chamber.superlayers.A1.cells": ["8 mm", "12 mm", "20 mm"]}, evaluate={"p": [1.0]}
+    ).to_pandas()
+    assert list(table["status"]) == ["ok", "ok", "ok", "impossible"]
+
+
+def test_files_with_a_base(tmp_path: Path) -> None:
+    """A file changes superlayers, or layers, of its base; its superlayers replace plain layers of the base."""
+    (tmp_path / "base.toml").write_text(_toml(chamber(A1, A2)), encoding="utf-8")
+    base: dict[str, Any] = {"base": str(tmp_path / "base.toml")}
+    cells = cg.load(base | {"drift_chamber": {"superlayers": {"A1": {"cells": 190}}}})
+    assert layers_of(cells) == layers_of(chamber(A1 | {"cells": 190}, A2))
+    single = cg.load(base | {"drift_chamber": {"layers": {"3": {"sigma": "70 um"}}}})
+    assert layers_of(single) == layers_of(
+        cg.load(chamber(A1, A2)).with_overrides({"drift_chamber.layers.3.sigma": "70 um"})
+    )
+    shorter = cg.load(base | {"drift_chamber": {"half_length": "1500 mm"}})
+    assert layers_of(shorter) == layers_of(chamber(A1, A2, half_length="1500 mm"))
+    own = chamber(A1, A2)["drift_chamber"] | {"gas": "MdcGas"}
+    assert layers_of({"base": "kloe2-like", "remove": ["cgem", "walls"], "drift_chamber": own}) == layers_of(
+        chamber(A1, A2)
+    )
+
+
+def _toml(tables: dict[str, Any]) -> str:
+    from cgemit.base.files import toml_text
+
+    return toml_text(tables, in_place=("composition",))
+
+
+def test_the_schema_has_superlayers() -> None:
+    validator = jsonschema.Draft202012Validator(schema())
+    for tables in (chamber(A1, A2), idea()):
+        validator.validate(tables)
+        validator.validate(
+            {"base": "kloe2-like", "drift_chamber": {"superlayers": tables["drift_chamber"]["superlayers"]}}
+        )
+    wrong = (
+        chamber(A1 | {"stereo": 50}), chamber(A1 | {"cells": 12.5}), chamber(A1 | {"layers": 0}),
+        chamber({"layers": 8}), chamber(A1, layers={}),
+    )  # fmt: skip
+    assert not any(validator.is_valid(tables) for tables in wrong)
