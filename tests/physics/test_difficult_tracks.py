@@ -9,6 +9,8 @@ import stats
 from cgemit.reconstruction.fit import FitSettings
 from pages.scenarios import SCENARIOS, WITHOUT_DECAYS, run_scenario
 
+pytestmark = pytest.mark.slow
+
 EVENTS = 600
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 
