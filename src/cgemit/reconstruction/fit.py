@@ -50,9 +50,9 @@ class FitSettings(SettingsData):
     loss : str
         Energy loss that is subtracted: ``"truncated"`` for the core of a momentum measurement, ``"mean"`` of all
         collisions, or Landau's ``"most_probable"`` one (docs/methods/matter.md).
-    momentum_error : float
+    momentum_error : float or None
         Relative error of the momentum, for ``loss="truncated"``: collisions that lose more than 2.3 errors are seen as
-        tails and do not count (docs/methods/matter.md). Smaller for a better tracker.
+        tails and do not count (docs/methods/matter.md). None: that of a muon of 1 GeV/c, at most 0.3 %.
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung (docs/methods/matter.md).
     matter : bool
@@ -99,7 +99,7 @@ class FitSettings(SettingsData):
     cluster_errors: ClusterErrors = "track"
     screening: Screening | None = None
     loss: Loss = "truncated"
-    momentum_error: Share = 0.003
+    momentum_error: Share | None = None
     radiation: bool = True
     matter: bool = True
     start_radius: Start = 0.0

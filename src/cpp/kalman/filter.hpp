@@ -60,6 +60,29 @@ void add_noise(Symmetric<T>& c, const DenseNoise<T>& noise, bool shifts) {
   add(noise.shift_along);
 }
 
+// Diagonal of the covariance that all slabs add. Their shifts, which are smaller than the turns, are left
+// out.
+template <class T>
+Five<T> noise_variances(const Group<T>& group) {
+  Five<T> sum = Five<T>::zero();
+  const auto add = [&sum](int i, const T& g) { sum[i] += g * g; };
+  if (!group.dense_noise.empty()) {
+    for (const DenseNoise<T>& noise : group.dense_noise)
+      unroll<parameters>([&](auto i) {
+        for (const Five<T>* g : {&noise.turn, &noise.dip, &noise.straggling}) add(i, (*g)[i]);
+      });
+    return sum;
+  }
+  for (const SlabNoise<T>& noise : group.noise) {
+    unroll<parameters>([&](auto i) { add(i, noise.dip[i]); });
+    unroll<4>([&](auto i) { add(i, noise.straggling[i]); });
+    add(0, noise.turn[0]);
+    add(1, noise.turn[1]);
+    add(3, noise.turn[2]);
+  }
+  return sum;
+}
+
 // The noise is centred on the kink that the reference already has.
 template <class T>
 void take_kink(Five<T>& x, const SlabNoise<T>& noise, const Kink<T>& kink) {

@@ -31,7 +31,7 @@ CHANGED = Settings(
     digitize=DigitizeSettings(reveal_sides=True),
     cluster=ClusterSettings(position="charge", reference_p=0.1 + 0.2, reference_cos_theta=1 / 3),
     fit=FitSettings(
-        cluster_errors="cluster", screening="moliere", loss="most_probable", residuals=True,
+        cluster_errors="cluster", screening="moliere", loss="most_probable", momentum_error=0.002, residuals=True,
         states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07, least_width=2,
         delta_strips=0.0, kinks=False, outlier_pull=0, prior_sigma=(1, 2, 3, 4, 1 / 7),
     ),

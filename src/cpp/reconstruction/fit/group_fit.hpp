@@ -174,14 +174,18 @@ class GroupFit {
   }
 
   // The covariance of the filter's prior. Rounding error grows with the ratio of prior to posterior, so after
-  // the first iteration the prior is 4000 times the last diagonal variances. Correlations are dropped: they
-  // would leak information of the inner hits into the outer ones. The mean of the prior is the present
-  // reference, so that the prior has no bias after convergence.
+  // the first iteration the prior is 4000 times the variances beyond all matter: the last diagonal variances
+  // at the origin and the noise. Without the noise the prior would hold a precise vertex detector's knowledge
+  // of the origin against the outer hits. Correlations are dropped: they would leak information of the inner
+  // hits into the outer ones. The mean of the prior is the present reference, so that the prior has no bias
+  // after convergence.
   Symmetric<T> beginning(const Five<T>& prior) const {
     constexpr double ratio = 4000;
     Five<T> variance = prior;
-    if (iteration_ > 0)
-      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * variance_[i], prior[i]); });
+    if (iteration_ > 0) {
+      const Five<T> noise = noise_variances(group_);
+      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * (variance_[i] + noise[i]), prior[i]); });
+    }
     return Symmetric<T>::diagonal(variance);
   }
 
