@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import numpy as np
 import pytest
 
 import cgemit as cg
@@ -54,3 +55,16 @@ def test_pull_gate_sees_a_wrong_field(believed: str) -> None:
     )  # fmt: skip
     with pytest.raises(AssertionError, match="standard errors"):
         assert_no_bias(result.tracks["pull_kappa"], "kappa")
+
+
+def test_a_start_at_the_solution_of_a_uniform_field_is_left() -> None:
+    """The first iterations take a uniform field; a track that has converged in it has not in the map."""
+    result = exact_sample("finite-solenoid", "pi+", 0.5, 0.7)
+    hits = (result.clusters, result.wire_hits, result.candidates, result.candidate_hits)
+    uniform = result.detector.with_overrides({"field.kind": "uniform"})
+    wrong = cg.fit(uniform, *hits)["tracks"]
+    start = np.stack([wrong[name] for name in PARAMETERS], axis=1)
+    tracks = cg.fit(result.detector, *hits, start=start)["tracks"]
+    error = np.sqrt(result.tracks["cov"][:, 2, 2])
+    assert np.abs(wrong["kappa"] - result.tracks["kappa"]).min() > 3 * error.max()
+    assert np.abs((tracks["kappa"] - result.tracks["kappa"]) / error).max() < 0.1

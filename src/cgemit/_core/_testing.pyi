@@ -75,7 +75,13 @@ def follow_electrons(
     detector: Detector, layer: int, *, w: float, energy: float, outward: float, n: int, seed: int
 ) -> dict[str, _Array]: ...
 def reference(
-    detector: Detector, helix: npt.ArrayLike, mass: float, hits: _Columns, kinks: npt.ArrayLike | None = None
+    detector: Detector,
+    helix: npt.ArrayLike,
+    mass: float,
+    hits: _Columns,
+    kinks: npt.ArrayLike | None = None,
+    *,
+    spans: bool = False,
 ) -> _Reference: ...
 
 class SeedFrom(enum.Enum):

@@ -384,9 +384,15 @@ struct NoiseVectors {
   }
 };
 
+// The reference stands at every wire, in a field map as well.
+struct StandsAtWires : NoObserver {
+  static constexpr bool stops_at_wires = true;
+};
+
 // Follows one helix through the material up to the last hit. `kink_array`: angles for every slab, or none.
+// `spans`: whether wires in a field map are passed as in a fit.
 py::dict reference(const Detector& detector, const Array<double>& helix, double mass,
-                   const py::dict& hit_columns, const std::optional<Array<double>>& kink_array) {
+                   const py::dict& hit_columns, const std::optional<Array<double>>& kink_array, bool spans) {
   std::span<const double> kinks;
   if (kink_array) kinks = matrix(*kink_array, "kinks", static_cast<py::ssize_t>(detector.slabs.size()), 2);
   const Perigee start = from_bes3(column(helix, "helix", 5).data());
@@ -403,8 +409,11 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
     const Projectile projectile = projectile_of(mass, start.kappa);
     if (detector.field.is_uniform()) {
       Tracer<double>(detector, start, mass, projectile, group).run(true);
-    } else {
+    } else if (spans) {
       Tracer<double, FieldReference<double>>(detector, start, mass, projectile, group).run(true);
+    } else {
+      Tracer<double, FieldReference<double>, StandsAtWires>(detector, start, mass, projectile, group)
+          .run(true);
     }
   }
   std::vector<Vector5> rows;
@@ -421,7 +430,7 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
     const auto number = static_cast<std::size_t>(step.noise);
     if (!step.is_slab || !group.ahead[number]) continue;
     const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
-    if (!group.dense_noise.empty()) {
+    if (group.dense) {
       noise.add(group.dense_noise[number], group.kinks[number], shifts);
     } else {
       noise.add(group.noise[number], group.kinks[number], shifts);
@@ -532,8 +541,9 @@ void bind_testing(py::module_& core) {
       "the hits of the tracks, one after the other, and their gains. Returns the numbers of the tracks "
       "that remain, the best first, and their hits.");
   module.def("reference", &reference, py::arg("detector"), py::arg("helix"), py::arg("mass"), py::arg("hits"),
-             py::arg("kinks") = py::none(),
-             "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits: predicted "
+             py::arg("kinks") = py::none(), py::kw_only(), py::arg("spans") = false,
+             "Follow one helix, scattered by `kinks` (rad, two for every slab), through its hits, and with "
+             "`spans` past the wires in a field map: predicted "
              "values, their rows by (dr, phi0, kappa, dz, tanl), the noise vectors of the matter, and the "
              "kinks in units of them.");
   py::native_enum<SeedFrom>(module, "SeedFrom", "enum.Enum", "What the first helix is drawn through.")

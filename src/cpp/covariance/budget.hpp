@@ -35,7 +35,7 @@ class Budget {
       for (std::int32_t s = step.first; s < step.last; ++s)
         measure(group_.slots[static_cast<std::size_t>(s)], l, total);
       if (!step.is_slab || !any(group_.ahead[static_cast<std::size_t>(step.noise)])) continue;
-      if (group_.dense_noise.empty())
+      if (!group_.dense)
         scatter(step, group_.noise[static_cast<std::size_t>(step.noise)], l, total);
       else
         scatter(step, group_.dense_noise[static_cast<std::size_t>(step.noise)], l, total);

@@ -8,7 +8,7 @@ namespace cgemit {
 template <class T>
 class Expectation {
  public:
-  static constexpr bool provides_hits = true;
+  static constexpr bool provides_hits = true, stops_at_wires = false;
 
   Expectation() = default;  // asks nobody yet
   explicit Expectation(ExpectedHits<T>& hits) : hits_(&hits) {}

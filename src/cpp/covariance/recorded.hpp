@@ -64,7 +64,7 @@ class RecordedTrack {
   // The observer of the trace: hits are expected where it would look for them, but none is filled in.
   class Recorder {
    public:
-    static constexpr bool provides_hits = true;
+    static constexpr bool provides_hits = true, stops_at_wires = true;
 
     explicit Recorder(RecordedTrack& track)
         : track_(&track), ahead_(*track.detector_), cells_(*track.detector_, ahead_) {}

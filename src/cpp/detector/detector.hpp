@@ -126,6 +126,11 @@ template <class T>
 struct WireOf {
   T x, y;
   T ex, ey, ez;
+
+  friend WireOf select(const mask_of<T>& m, const WireOf& a, const WireOf& b) {
+    return {select(m, a.x, b.x), select(m, a.y, b.y), select(m, a.ex, b.ex), select(m, a.ey, b.ey),
+            select(m, a.ez, b.ez)};
+  }
 };
 using Wire = WireOf<double>;
 

@@ -66,7 +66,7 @@ template <class T>
 Five<T> noise_variances(const Group<T>& group) {
   Five<T> sum = Five<T>::zero();
   const auto add = [&sum](int i, const T& g) { sum[i] += g * g; };
-  if (!group.dense_noise.empty()) {
+  if (group.dense) {
     for (const DenseNoise<T>& noise : group.dense_noise)
       unroll<parameters>([&](auto i) {
         for (const Five<T>* g : {&noise.turn, &noise.dip, &noise.straggling}) add(i, (*g)[i]);
@@ -129,10 +129,10 @@ CGEMIT_FLATTEN FilteredState<T> filter(const Detector& detector, Group<T>& group
           add_noise(state.c, noise_here, shifts);
           if (any(group.kinked)) take_kink(state.x, noise_here, group.kinks[noise]);
         };
-        if (group.dense_noise.empty()) {
-          take(group.noise[noise]);
-        } else {
+        if (group.dense) {
           take(group.dense_noise[noise]);
+        } else {
+          take(group.noise[noise]);
         }
       }
     }
@@ -178,9 +178,8 @@ CGEMIT_FLATTEN void smooth(Group<T>& group, mask_of<T> who) {
     if (!step.is_slab || !any(who)) continue;
     const auto noise = static_cast<std::size_t>(step.noise);
     Kink<T>& kink = group.kinks[noise];
-    const bool dense = !group.dense_noise.empty();
     const auto [turn, dip] =
-        dense ? seen(group.dense_noise[noise], lambda) : seen(group.noise[noise], lambda);
+        group.dense ? seen(group.dense_noise[noise], lambda) : seen(group.noise[noise], lambda);
     kink.aside = select(who, kink.sigma * (kink.cosine * turn - kink.sine * dip), kink.aside);
     kink.up = select(who, kink.sigma * (kink.cosine * dip + kink.sine * turn), kink.up);
   }

@@ -130,6 +130,7 @@ struct Group {
   std::vector<Slot<T>> storage;            // of the slots; grows to the size of the largest group
   std::vector<SlabNoise<T>> noise;         // one per slab of `steps`, all zero where it was not crossed
   std::vector<DenseNoise<T>> dense_noise;  // instead of `noise` in a field map; else empty
+  bool dense = false;                      // whether the last trace was in a field map
   std::vector<StoredMask<T>> ahead;        // the same: lanes with measurements beyond
   mask_of<T> kinked{false};                // lanes whose reference has kinks
   std::vector<Kink<T>> kinks;              // one per slab of `steps`; unused in other lanes

@@ -28,6 +28,21 @@ struct Rows {
   T sideways;        // S of the point
 };
 
+// Where a trajectory passes a wire.
+template <class T>
+struct Passage {
+  HelixPointOf<T> at;
+  Rows<T> rows;
+
+  friend Passage select(const mask_of<T>& m, const Passage& a, const Passage& b) {
+    Passage p{};
+    p.at = select<T>(m, a.at, b.at);
+    p.rows.across = select<T>(m, a.rows.across, b.rows.across);
+    p.rows.along_z = select<T>(m, a.rows.along_z, b.rows.along_z);
+    return p;
+  }
+};
+
 template <class T>
 class HelixMotion {
  public:
@@ -81,6 +96,7 @@ class HelixMotion {
     count(from, result.arc);
     return met;
   }
+  Passage<T> passage() const { return {point_, rows()}; }
 
   Rows<T> rows() const {
     const T x = point_.x, y = point_.y, ux = point_.ux, uy = point_.uy;

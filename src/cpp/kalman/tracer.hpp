@@ -16,9 +16,10 @@ namespace cgemit {
 // An observer is called at every surface of the trajectory; this one does nothing. An observer with
 // `provides_hits` also fills in the hits of every step when the reference arrives there, in place of a
 // `GroupBuilder` before: `reaches` at a slab, `passes` at a layer of wires; and tells at the closest approach
-// to a wire, in `on_wire`, which lanes pass between its ends.
+// to a wire, in `on_wire`, which lanes pass between its ends. For one that `stops_at_wires`, the motion
+// stands at every wire when it is met.
 struct NoObserver {
-  static constexpr bool provides_hits = false;
+  static constexpr bool provides_hits = false, stops_at_wires = false;
   template <class Slot, class Motion>
   void meets(const Slot&, const Motion&) {}
   template <class Slab, class Motion>
@@ -49,13 +50,16 @@ class Tracer {
   void run(mask_of<T> who) {
     reached_ = 0.0;
     group_.stopped = group_.left = mask_of<T>(false);
+    group_.dense = !Motion::keeps_dip;
     alive_ = who;
     curled_ = mask_of<T>(false);
     const T inner = motion_.point().radius();
-    for (GroupStep& step : group_.steps) {
+    for (std::size_t i = 0; i < group_.steps.size(); ++i) {
+      GroupStep& step = group_.steps[i];
       if (!step.is_slab) {
         if constexpr (Observer::provides_hits) observer_.passes(step, motion_, alive_);
-        for (std::int32_t s = step.first; s < step.last; ++s) meet_wire(slot(s));
+        if (spans && i + 1 < group_.steps.size() && group_.steps[i + 1].is_slab) continue;  // with the slab
+        go_past(step, HUGE_VAL, mask_of<T>(false));
         continue;
       }
       const Slab& slab = detector_.slabs[static_cast<std::size_t>(step.slab)];
@@ -63,7 +67,11 @@ class Tracer {
       const mask_of<T> beyond = group_.ahead[noise];
       const mask_of<T> wanted = alive_ & (beyond | has_hits(step)) & (inner < slab.radius);
       // A helix that turns back below a slab may still pass the next wires, but not a gap.
-      const mask_of<T> reached = wanted & !curled_ & motion_.go_to(slab.radius, wanted & !curled_);
+      mask_of<T> reached = wanted & !curled_;
+      if (spans && i > 0 && !group_.steps[i - 1].is_slab)
+        reached = go_past(group_.steps[i - 1], slab.radius, reached) & alive_;
+      else
+        reached = reached & motion_.go_to(slab.radius, reached);
       follow_dip();
       if constexpr (Observer::provides_hits) observer_.reaches(step, slab, motion_, reached);
       if (slab.gap >= 0) alive_ = alive_ & (reached | !wanted);
@@ -101,6 +109,7 @@ class Tracer {
   void observe(const Observer& observer) { observer_ = observer; }
 
  private:
+  static constexpr bool spans = !Motion::keeps_dip && !Observer::stops_at_wires;
   static constexpr double seam_margin =
       50;  // mm, more than the distance of a first helix from its hits at any CGEM layer
 
@@ -165,6 +174,23 @@ class Tracer {
 
   static T positive(T angle) { return select(angle < 0.0, angle + 2 * pi, angle); }
 
+  // In a field map one move passes all wires of a step: to the next cylinder or, where it is not reached, to
+  // the last wire. Returns the lanes of `who` that reach the cylinder.
+  mask_of<T> go_past(const GroupStep& step, double radius, mask_of<T> who) {
+    if constexpr (spans) {
+      WireOf<T> last{};
+      mask_of<T> some(false);
+      for (std::int32_t s = step.first; s < step.last; ++s) {
+        const mask_of<T> wanted = alive_ & slot(s).there;
+        last = select(wanted, slot(s).wire, last);
+        some = some | wanted;
+      }
+      who = motion_.go_past(last, some, radius, who);
+    }
+    for (std::int32_t s = step.first; s < step.last; ++s) meet_wire(slot(s));
+    return who;
+  }
+
   CGEMIT_FLATTEN void meet_wire(Slot<T>& slot) { meet_wire(motion_, slot); }
 
   CGEMIT_FLATTEN void meet_wire(Motion& motion, Slot<T>& slot) {
@@ -176,11 +202,10 @@ class Tracer {
     }
     ApproachOf<T> approach;
     const mask_of<T> met = motion.approach(slot.wire, approach, wanted);
-    follow_dip();
+    if constexpr (!Motion::keeps_dip) group_.left = motion.left();
     alive_ = alive_ & (met | !wanted);
-    const HelixPointOf<T>& at = motion.point();
+    const auto& [at, r] = motion.passage();
     curled_ = (wanted & (at.outward() < 0.0)) | (curled_ & !wanted);
-    const Rows<T> r = motion.rows();
     const T across = approach.ny * at.ux - approach.nx * at.uy;
     slot.extent = 0.0;
     mask_of<T> hit = met;

@@ -13,7 +13,7 @@ namespace {
 // The observer that records the trajectory.
 class Recorder {
  public:
-  static constexpr bool provides_hits = false;
+  static constexpr bool provides_hits = false, stops_at_wires = true;
 
   Recorder(const Detector& detector, ReferenceTrajectory& trajectory)
       : trajectory_(&trajectory), per_kappa_(curvature(detector.bz, 1.0)) {}

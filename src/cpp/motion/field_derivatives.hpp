@@ -92,9 +92,9 @@ struct FieldDerivatives {
     const HelixPointOf<T>&start = first.at, &end = last.at;
     const T x = start.ux + end.ux, y = start.uy + end.uy, per = 1.0 / sqrt(x * x + y * y), zero(0.0);
     HelixPointOf<T> middle{zero, zero, zero, per * x, per * y, 0.5 * (start.tanl + end.tanl), zero};
-    const T sec = sqrt(1.0 + middle.tanl * middle.tanl);
+    const T cosine = 0.5 * (first.cosine + last.cosine), sec = 1.0 / cosine;
     const CurvatureSlopes<T> by1 = curvature_slopes(start, first.sec, first.cosine, step.b1, step.bend),
-                             by2 = curvature_slopes<T>(middle, sec, 1.0 / sec, step.b2.b, step.bend),
+                             by2 = curvature_slopes<T>(middle, sec, cosine, step.b2.b, step.bend),
                              by4 = curvature_slopes(end, last.sec, last.cosine, step.b4, step.bend);
     middle.w = step.bend * by2.bend;
     const T part = step.h * (1.0 / 8), s_first = part * (3.0 * first.cosine + last.cosine),

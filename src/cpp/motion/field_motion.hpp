@@ -18,6 +18,13 @@ namespace cgemit {
 template <class T>
 struct FieldHelixPoint : HelixPointOf<T> {
   FieldValue<T> field;
+
+  friend FieldHelixPoint select(const mask_of<T>& m, const FieldHelixPoint& a, const FieldHelixPoint& b) {
+    FieldHelixPoint p;
+    static_cast<HelixPointOf<T>&>(p) = select<T>(m, static_cast<const HelixPointOf<T>&>(a), b);
+    p.field = select(m, a.field, b.field);
+    return p;
+  }
 };
 
 // An arc is the path divided by 1/cos(dip) at its start. Every function moves the lanes `who` and returns
@@ -72,9 +79,16 @@ class FieldMotionOf {
     Walk walk(*this, point, who);
     Mask arrived(false);
     for (int iteration = 0; any(walk.moving) && iteration < most_iterations; ++iteration) {
-      HelixPointOf<T> guess = walk.here;
-      T step(0.0);
-      const Mask reached = step_to_cylinder(guess, r, step, outward, walk.moving);
+      T step = step_across(walk.here, r);
+      const T p = walk.here.outward();
+      const Mask near = walk.moving & (abs(step) < short_step) & (outward ? p > 0.0 : p < 0.0);
+      Mask reached = near;
+      if (any(walk.moving & !near)) {
+        HelixPointOf<T> guess = walk.here;
+        T far(0.0);
+        reached = near | step_to_cylinder(guess, r, far, outward, walk.moving & !near);
+        step = select(near, step, far);
+      }
       if (const Mask missed = walk.moving & !reached; any(missed)) {
         // Either the cylinder lies below the closest approach, or the touching helix turns back before a
         // cylinder farther out. The track need not turn back there: it is followed to the turning point of
@@ -228,6 +242,12 @@ class FieldMotionOf {
       return arc;
     }
   };
+
+  // Transverse arc to a cylinder that is very close, to third order.
+  static T step_across(const HelixPointOf<T>& at, const T& r) {
+    const T per = 1.0 / at.outward(), straight = 0.5 * per * (r * r - at.x * at.x - at.y * at.y);
+    return straight - (0.5 * per) * (1.0 - at.w * at.sideways()) * (straight * straight);
+  }
 
   FieldValue<T> field_at(const HelixPointOf<T>& p) const { return field_.at(Vec3<T>{p.x, p.y, p.z}); }
   void set_bend(const HelixPointOf<T>& point, const T& kappa) {

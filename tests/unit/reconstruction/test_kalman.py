@@ -724,6 +724,28 @@ def test_differences_with_kinks_field(shape):
         np.testing.assert_allclose(rows[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
 
 
+SOLENOID = UNIFORM.with_field("finite-solenoid")
+
+
+@every_shape
+@pytest.mark.parametrize("scattered", [False, True])
+@pytest.mark.parametrize(
+    ("detector", "distance", "part"), [(UNEVEN, 1e-6, 2e-5), (SOLENOID, 5e-5, 2e-4)], ids=["fine steps", "solenoid"]
+)
+def test_wires_on_a_span_are_those_of_a_trajectory_that_stops_there(shape, scattered, detector, distance, part):
+    """One move past all wires of a superlayer: distances to 50 nm, rows to two parts in 10 000."""
+    parameters = np.array(SHAPES_FIELD[shape])
+    hits = hits_on(detector, parameters)
+    kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(detector)), 2)) if scattered else None
+    core = compiled(detector)
+    stops, passes = (_core._testing.reference(core, parameters, MUON, hits, kinks, spans=spans) for spans in (0, 1))
+    assert len(passes["predicted"]) == len(stops["predicted"]) > 35
+    np.testing.assert_allclose(passes["predicted"], stops["predicted"], rtol=0, atol=distance)
+    for name in ("rows", "noise"):
+        difference = np.abs(passes[name] - stops[name]).max(axis=0)
+        assert 0 < (difference / np.abs(stops[name]).max(axis=0)).max() < part
+
+
 @every_shape
 def test_simulation_without_fluctuations_is_the_reference(shape):
     parameters = np.array(SHAPES_FIELD[shape])

@@ -103,7 +103,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
     const auto noise = static_cast<std::size_t>(step.noise);
     for (Branch& branch : branches_) {
       if (branch.ended) continue;
-      if (group_.dense_noise.empty())
+      if (!group_.dense)
         add_noise(branch.state.c, group_.noise[noise], slab.shifts);
       else
         add_noise(branch.state.c, group_.dense_noise[noise], slab.shifts);

@@ -162,7 +162,7 @@ class NearbyHits {
 // Passed to the tracer by value.
 class NearbyObserver {
  public:
-  static constexpr bool provides_hits = true;
+  static constexpr bool provides_hits = true, stops_at_wires = false;
   explicit NearbyObserver(NearbyHits& hits) : hits_(&hits) {}
 
   template <class Motion>
