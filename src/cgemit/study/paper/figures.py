@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from tqdm import TMonitor
 
 from cgemit.analysis.clusters import X_WINDOWS, ClusterResiduals, v_spectrum, x_spectrum, x_widths
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum
@@ -31,15 +37,35 @@ _PARTS = {"single strip": (COLORS["single"], "one strip"), "several strips": (CO
 
 def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | None = None) -> None:
     """Write all figures as PNG and PDF, and the tables behind them and all momentum scans as CSV."""
-    makers = _makers(study)
-    for number, (key, figure) in enumerate(FIGURES.items()):
-        if progress:
-            progress(number / len(FIGURES), f"drawing {figure.name}")
-        path = folder / figure.name
-        makers[key](path).save(path)
+    with _pool(study) as pool:
+        names = {pool.submit(_write_figure, key, folder / figure.name): figure.name for key, figure in FIGURES.items()}
+        for number, done in enumerate(as_completed(names), 1):
+            done.result()
+            if progress:
+                progress(number / len(FIGURES), f"drew {names[done]}")
     write_csv(folder / "momentum_scan.csv", scan_columns([s for scan in study.scans.values() for s in scan]))
     if progress:
         progress(1.0, "writing")
+
+
+def _pool(study: Reproduction) -> Executor:
+    """Return what draws the figures: copies of this process where it has no other threads, else one thread."""
+    workers = min(study.inputs.threads or os.cpu_count() or 1, len(FIGURES))
+    others = [thread for thread in threading.enumerate() if not isinstance(thread, TMonitor)]  # it only sleeps
+    if sys.platform != "linux" or workers == 1 or len(others) > 1:
+        return ThreadPoolExecutor(1, initializer=_receive, initargs=(study,))
+    return ProcessPoolExecutor(workers, get_context("fork"), _receive, (study,))
+
+
+_received: dict[str, Callable[[Path], Picture]] = {}
+
+
+def _receive(study: Reproduction) -> None:
+    _received.update(_makers(study))
+
+
+def _write_figure(key: str, path: Path) -> None:
+    _received[key](path).save(path)
 
 
 def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:
