@@ -115,6 +115,52 @@ def test_pixels_with_a_large_chamber(cos_theta: float, p: float) -> None:
         assert unit * tracks[f"res_{name}"][good].std() == pytest.approx(float(one), rel=0.05)
 
 
+#: Momenta in GeV/c and cos(theta).
+BARRELS = {
+    "besiii-pixel": ((0.3, 1.0, 1.5), (0.0, 0.4, -0.7)),
+    "cepc-like": ((1.0, 5.0, 50.0), (0.0, 0.4, -0.7)),
+    "epic-like": ((0.5, 2.0, 10.0), (0.0, 0.4, -0.6)),
+}
+
+
+def barrel_tracks(name: str, p: float, cos_theta: float, n: int = 8000) -> cg.Table:
+    """Return found tracks. Angles and vertices spread: hits have every phase in their pixels."""
+    gun = cg.Gun("mu-", p=p, cos_theta=(cos_theta - 0.005, cos_theta + 0.005), vertex_sigma=(0, 0, 5))
+    tracks = cg.run(name, gun, n, 4, settings=QUIET, finder="ckf").tracks
+    assert (tracks["status"] == 0).sum() > 0.999 * n
+    return tracks[tracks["status"] == 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "p", "cos_theta"), [(n, p, c) for n, (ps, cs) in BARRELS.items() for p in ps for c in cs]
+)
+def test_barrels_of_other_experiments(name: str, p: float, cos_theta: float) -> None:
+    """Presets with the finder: every track, unit pulls, expected resolutions."""
+    tracks = barrel_tracks(name, p, cos_theta)
+    np.testing.assert_allclose([tracks[f"pull_{key}"].std() for key in PARAMETERS], 1, atol=0.03)
+    expected = cg.analytic(name, "mu-", p=p, cos_theta=cos_theta)
+    assert tracks["res_dr"].std() == pytest.approx(1e-3 * float(expected.sigma_dr), rel=0.03)
+    assert tracks["res_dz"].std() == pytest.approx(float(expected.sigma_dz), rel=0.03)
+    assert tracks["res_kappa"].std() == pytest.approx(float(np.sqrt(expected.cov[..., 2, 2])), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "thinner"),
+    [
+        ("besiii-pixel", {"layer.PIX.x0": "x0.5"}),
+        ("cepc-like", {"layer.*.thickness": "x0.5"}),
+        ("epic-like", {"beam_pipe.beryllium.r_out": "31.4 mm"}),
+    ],
+)
+def test_barrels_see_missing_matter(name: str, thinner: dict[str, str]) -> None:
+    found = 1e3 * barrel_tracks(name, 0.5, 0.0, 4000)["res_dr"].std()
+    detectors = (cg.load(name), cg.load(name).with_overrides(thinner))
+    sigma = [float(cg.analytic(detector, "mu-", p=0.5, cos_theta=0.0).sigma_dr) for detector in detectors]
+    assert found == pytest.approx(sigma[0], rel=0.03)
+    assert found > 1.06 * sigma[1]
+
+
 def test_hits_before_and_behind_a_cgem() -> None:
     result = run(mixed(sigma="10 um"), 500, finder="ckf")
     layers, views = result.clusters["layer"], result.clusters["view"]

@@ -48,8 +48,8 @@ def detectors() -> dict[str, str]:
 
     Examples
     --------
-    >>> list(cg.detectors())
-    ['besiii-cgem', 'besiii-cgem-design', 'besiii-idc', 'besiii-idc-boss', 'idea-like', 'kloe2-like', 'stcf-like']
+    >>> cg.detectors()["besiii-cgem-design"]
+    'the CGEM inner tracker of arXiv:1504.02570 (design) and the BESIII outer drift chamber'
     """
     return {name: _preset_tables(name)["description"] for name in preset_names()}
 

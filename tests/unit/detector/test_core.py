@@ -180,7 +180,7 @@ def test_core_takes_it(name: str) -> None:
     assert core.bz == detector.field.bz
     assert core.n_slabs == len(slabs(detector))
     assert core.n_layers == len(detector.layers)
-    assert core.n_wire_layers == len(detector.drift_chamber.layers)
+    assert core.n_wire_layers == (len(detector.drift_chamber.layers) if detector.drift_chamber else 0)
     assert compiled(load(name)) is core
     assert compiled(detector, merge=False).n_slabs > core.n_slabs
 

@@ -28,7 +28,8 @@ def rows(name: str) -> list[dict[str, str]]:
 
 
 def test_names_and_descriptions() -> None:
-    assert tuple(detectors()) == (*NAMES, "idea-like", "kloe2-like", "stcf-like")
+    others = ("besiii-pixel", "cepc-like", "epic-like", "idea-like", "kloe2-like", "stcf-like")
+    assert tuple(detectors()) == (*NAMES, *others)
     for name, description in detectors().items():
         assert len(description) > 20
         assert load(name).name == name
@@ -274,6 +275,39 @@ def test_gas_of_the_chamber_without_axial_wires() -> None:
     assert gas.density == pytest.approx(total / 24_055, rel=1e-3)
     expected = sum(moles[name] / total / x0 for name, x0 in (("He", 94.32), ("C", 42.70), ("H", 63.04)))
     assert 10 / (expected * gas.density) == pytest.approx(gas.x0, rel=0.005)  # mm; g/cm2 of the PDG
+
+
+def test_pixels_before_the_cgem() -> None:
+    """The rest is the design; the beam pipe ends 6 mm before the layer."""
+    detector, design = load("besiii-pixel"), load("besiii-cgem-design")
+    assert detector.layer["PIX"].errors == (0.005, 0.005)
+    assert [layer.label for layer in detector.layers] == ["PIX", "L1", "L2", "L3"]
+    assert (detector.cgem, detector.beam_pipe) == (design.cgem, design.beam_pipe)
+    assert max(part.r_out for part in detector.beam_pipe) == pytest.approx(33.7)
+
+
+def test_a_barrel_of_silicon_and_a_chamber_in_3_tesla() -> None:
+    """Rows of the card."""
+    detector = load("cepc-like")
+    radii = [16, 18, 38, 40, 58, 60, 120, 270, 420, 570, 1815]
+    assert [layer.radius for layer in detector.layers] == radii
+    assert [detector.layer[f"VTX{i}"].errors[0] for i in range(1, 7)] == [0.003, 0.006, *[0.004] * 4]
+    layers = detector.drift_chamber.layers
+    assert [layer.r_mid for layer in layers] == pytest.approx([605 + 15 * i for i in range(80)])
+    assert layers[-1].r_end < detector.walls["outer"].r_in
+    pipe = detector.beam_pipe[0]
+    assert (pipe.r_out - pipe.r_in) / pipe.material.x0 == pytest.approx(0.14 / 93.7, rel=2e-3)
+
+
+def test_a_barrel_of_pixels_and_micropattern_detectors() -> None:
+    """Radii and errors of the geometry; FR4 has the radiation length of its elements."""
+    detector = load("epic-like")
+    assert [layer.radius for layer in detector.layers] == [38.02, 50.321, 125.221, 265, 420, 567.755, 740]
+    pixel = 0.02 / math.sqrt(12)
+    assert [layer.errors[0] for layer in detector.layer] == pytest.approx([pixel] * 5 + [0.15] * 2)
+    sheet = detector.layer["OUTER"].support[2].material
+    expected = 0.2468 / 21.82 + 0.2812 / 34.24 + 0.4355 / 42.70 + 0.0365 / 63.04  # cm2/g of the PDG
+    assert sheet.x0 == pytest.approx(10 / expected / 1.86, rel=0.01)
 
 
 def test_a_tracker_of_silicon_and_a_chamber() -> None:
