@@ -54,6 +54,7 @@ PAGES: dict[str, Page] = {
         pictures.CONVENTIONS,
         readme.PAGE,
         pictures.GALLERY,
+        pictures.PRESETS,
     )
 }
 

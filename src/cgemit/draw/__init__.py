@@ -9,8 +9,6 @@ from cgemit.draw.display import event, event_3d, save_page
 from cgemit.draw.slab import draw_slab
 from cgemit.draw.style import Picture
 
-draw_event = event  # its former name
-
 __all__ = [
     "FormationPanel",
     "Picture",
@@ -20,7 +18,6 @@ __all__ = [
     "draw_chain",
     "draw_cluster",
     "draw_detector",
-    "draw_event",
     "draw_finding",
     "draw_formation",
     "draw_projection",
