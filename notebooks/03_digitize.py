@@ -13,9 +13,9 @@
 # %% [markdown]
 # # From ionization to charge and time on strips
 #
-# A read-out turns the crossing of a drift gap into digis: strips with a charge and a time. This notebook follows the
-# electrons of a muon to the strips of one layer, compares the read-outs, and shows what each effect does. Formulas and
-# sources are in [the analog read-out](../docs/methods/readout.md) and [digitization](../docs/methods/digitize.md).
+# A readout turns the crossing of a drift gap into digis: strips with a charge and a time. This notebook follows the
+# electrons of a muon to the strips of one layer, compares the readouts, and shows what each effect does. Formulas and
+# sources are in [the analog readout](../docs/methods/readout.md) and [digitization](../docs/methods/digitize.md).
 
 # %%
 import matplotlib.pyplot as plt
@@ -57,7 +57,7 @@ right.legend()
 fig.tight_layout()
 
 # %% [markdown]
-# ## The same muons in four read-outs
+# ## The same muons in four readouts
 #
 # `binary` fires the strips that the projected path touches. `analog-projection` integrates a charge profile along it.
 # `tiger` and `apv25` follow every electron, and their chips measure charge and time. All give the same table.
@@ -76,7 +76,7 @@ for name, run in runs.items():
 runs["tiger"].digis
 
 # %% [markdown]
-# Charges of a binary read-out are shares of the deposit. A chip sees fluctuations of ionization and gain, loses what is
+# Charges of a binary readout are shares of the deposit. A chip sees fluctuations of ionization and gain, loses what is
 # below its threshold (2 and 1.67 fC) and saturates at 48 fC (TIGER) or 60 fC (APV25).
 
 # %%

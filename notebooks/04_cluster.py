@@ -15,7 +15,7 @@
 #
 # Clusters are contiguous strips; an X and a V cluster that cross make a point. This notebook measures positions with
 # charge and time, shows why the angle of the track helps, and how charge and time tell crossings of one particle from
-# ghosts. Formulas are in [clusters](../docs/methods/cluster.md) and [the analog read-out](../docs/methods/readout.md).
+# ghosts. Formulas are in [clusters](../docs/methods/cluster.md) and [the analog readout](../docs/methods/readout.md).
 
 # %%
 from dataclasses import replace

@@ -141,7 +141,7 @@ axes.legend(ncols=3)
 # %% [markdown]
 # ## Many tracks: can the errors be believed?
 #
-# Where simulation and read-out do exactly what the fit assumes, its pulls are standard normal and the chi-square
+# Where simulation and readout do exactly what the fit assumes, its pulls are standard normal and the chi-square
 # probability is flat. Strips, hard scatters and straggling add tails; the cores stay close to 1.
 
 # %%

@@ -62,7 +62,7 @@ curves(detector, cg.load("besiii-idc"), quantity="dz", label="σ(d_z)  (mm)")
 # %% [markdown]
 # The CGEM inner tracker measures z with strips at a large stereo angle: its $\sigma(d_z)$ is less than half of that of
 # the inner drift chamber. In $d_\rho$ the wires are better above 0.3 GeV/c, where the 650 um strips with a binary
-# read-out count; below, scattering in the beam pipe and the first layer makes them nearly equal.
+# readout count; below, scattering in the beam pipe and the first layer makes them nearly equal.
 #
 # ## What makes it
 #

@@ -26,7 +26,7 @@ QUANTITIES = ("dr", "phi0", "kappa", "dz", "tanl", "p")
 SAMPLES = 1024  # tracks that a point of the covariance averages
 TRACKS = 50_000  # simulated tracks of a point
 
-#: Read-out, simulation and the limit of each mode: a fraction, or three standard errors where these are larger.
+#: Readout, simulation and the limit of each mode: a fraction, or three standard errors where these are larger.
 MODES = {
     "gaussian": ("gaussian", cg.SimulateSettings(fluctuations="gaussian", deltas=False, decays=False), 0.02),
     "default": ("binary", cg.SimulateSettings(decays=False), 0.05),

@@ -142,7 +142,7 @@ def cores(result: cg.Result, clusters: cg.Table) -> dict[str, float]:
 
 
 def measure_tracks(share: float) -> Numbers:
-    """Simulate muons with every read-out."""
+    """Simulate muons with every readout."""
     detector, events, rows = cg.load(DETECTOR), share_of(TRACKS, share, 500), []
     for name, readout in READOUTS.items():
         result = simulated(detector, readout, events)

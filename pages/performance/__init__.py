@@ -91,7 +91,7 @@ def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
         off = np.max(np.abs(us / (rest + slope * electrons) - 1))
         head = [f"{n:.0f} electrons" for n in electrons]
         lines.append([readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
-    return table(["read-out", *head, "us per electron", "us without", "from a line"], lines)
+    return table(["readout", *head, "us per electron", "us without", "from a line"], lines)
 
 
 def _range(values: Sequence[float]) -> str:

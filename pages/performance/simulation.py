@@ -1,4 +1,4 @@
-"""Cost of the parts of the simulation, of field maps in it, and of the analog read-outs; one thread, processor time."""
+"""Cost of the parts of the simulation, of field maps in it, and of the analog readouts; one thread, processor time."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def read_out(result: cg.Result, readout: Readout, steps: Table) -> None:
 
 
 def measure_readouts(_share: float) -> Numbers:
-    """Measure the analog read-outs against the number of electrons of the same muons."""
+    """Measure the analog readouts against the number of electrons of the same muons."""
     result, rows = muons(), []
     for code in isa.available():
         with instruction_set(code):

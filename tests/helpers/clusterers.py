@@ -17,7 +17,7 @@ def expect(
     errors: Sequence[npt.ArrayLike] | None = None,
     correlations: npt.ArrayLike | None = None,
 ) -> None:
-    """Give a read-out a clusterer, which extends its own, with these expected errors and correlations."""
+    """Give a readout a clusterer, which extends its own, with these expected errors and correlations."""
     given = {"expected_errors": errors, "expected_correlations": correlations}
     methods = {name: lambda *_, one=one: one for name, one in given.items() if one is not None}
     monkeypatch.setitem(CLUSTERERS, readout, type("Expecting", (CLUSTERERS[readout],), methods))

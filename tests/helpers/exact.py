@@ -1,4 +1,4 @@
-"""The mode in which simulation and read-out do exactly what the fit assumes, and what must hold there."""
+"""The mode in which simulation and readout do exactly what the fit assumes, and what must hold there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Analog read-outs in a test beam, one layer of 2 m radius, against published numbers; and two traps of such models.
+"""Analog readouts in a test beam, one layer of 2 m radius, against published numbers; and two traps of such models.
 
 Measured numbers stand beside the published ones in docs/methods/readout.md.
 """
@@ -191,7 +191,7 @@ def as_expected(
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", WITH_CHARGE)
 def test_analytic_errors_are_those_of_tracks(readout: AnalogReadout | ProjectionReadout) -> None:
-    """The covariance takes the errors that the read-out expects, without events."""
+    """The covariance takes the errors that the readout expects, without events."""
     as_expected(readout, (-0.93, 0.93), 8000)
 
 

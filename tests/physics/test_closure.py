@@ -1,4 +1,4 @@
-"""Closure: where simulation and read-out do exactly what the fit assumes, its errors are the errors."""
+"""Closure: where simulation and readout do exactly what the fit assumes, its errors are the errors."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ def test_hits_before_and_behind_a_cgem() -> None:
 
 
 def test_a_read_out_sees_its_own_layers_alone() -> None:
-    """CGEM digis and clusters of any read-out are those without the other layers, by the same truths."""
+    """CGEM digis and clusters of any readout are those without the other layers, by the same truths."""
     detector, alone = mixed(sigma="10 um"), cg.load("besiii-cgem-design")
     for readout in ("binary", "gaussian", "analog-projection", "tiger"):
         settings = cg.Settings(simulate=cg.SimulateSettings(decays=False, steps=True))

@@ -24,7 +24,7 @@ POINTS = [(name, *point) for name, points in TABLE.items() for point in points]
 
 
 def track(name: str, p: float, cos_theta: float):
-    """Return detector, helix and one hit a layer, with the errors of the read-out `gaussian`."""
+    """Return detector, helix and one hit a layer, with the errors of the readout `gaussian`."""
     detector = load(name)
     sine = np.sqrt(1 - cos_theta**2)
     helix = np.array([0.0, 0.4, -1 / (p * sine), 0.0, cos_theta / sine])

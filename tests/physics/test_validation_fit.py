@@ -93,7 +93,7 @@ def test_every_gate_sees_errors_that_are_a_sixth_too_small(monkeypatch: pytest.M
 
 
 def test_strips_and_tails_are_not_gaussian(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where simulation and read-out are not what the fit assumes, pulls of slow tracks are too wide."""
+    """Where simulation and readout are not what the fit assumes, pulls of slow tracks are too wide."""
     monkeypatch.setitem(MODES, "gaussian", MODES["default"])
     assert failures(results(Point("gaussian", DETECTORS[0], "mu-", 0.2, 0.5)))
 

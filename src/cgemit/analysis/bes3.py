@@ -371,7 +371,7 @@ class Bes3Events:
         The experiment's numbers of run and event.
     clusters, wire_hits : Table
         Reconstructed clusters, and the hits on tracks; `track` is the number of the track, -1 none. Wire hits also
-        have `tdc`, ns from the start of the read-out window, and `z` on the wire, mm.
+        have `tdc`, ns from the start of the readout window, and `z` on the wire, mm.
     candidates, candidate_hits : Table
         The hits of each track. Candidate and track have the same number.
     mdc_tracks, kal_tracks : Table of kind "tracks"
@@ -383,7 +383,7 @@ class Bes3Events:
     digis : Table
         Fired strips with charge and time.
     start_time : ndarray, (n,) float64
-        Start of each event in the read-out window by the experiment's reconstruction, ns; NaN where the file has none.
+        Start of each event in the readout window by the experiment's reconstruction, ns; NaN where the file has none.
     wire_digis : dict of str to ndarray, each (digis,)
         All fired cells: `event`, `layer`, `wire`, `tdc` (ns, NaN without a valid time), `overflow` (bits of the
         software), `particle` (number of the generated one, -1 none) and `track` (-1 none).

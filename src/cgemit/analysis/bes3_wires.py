@@ -28,7 +28,7 @@ Ints = npt.NDArray[np.int64]
 ZERO_TIME = -233.5
 #: Raw drift times that can be of a track, ns.
 WINDOW = (-20.0, 700.0)
-#: Start times that a search tries, ns in the read-out window. A fit of the start time finds it from 30 ns away.
+#: Start times that a search tries, ns in the readout window. A fit of the start time finds it from 30 ns away.
 SEARCH = tuple(np.arange(0.0, 1500.0, 25.0).tolist())
 
 _OUTER = 8  # first layer of the outer chamber
@@ -132,7 +132,7 @@ def all_wire_hits(
     ----------
     events : Bes3Events
     start_time : array_like, (events,) float64, or float, or None
-        Start of each event in the read-out window, ns. None: as the experiment reconstructed it. Events without
+        Start of each event in the readout window, ns. None: as the experiment reconstructed it. Events without
         one (NaN) have no hits.
     calibration : DriftCalibration or None
         None: what `calibrate` finds.

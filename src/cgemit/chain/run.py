@@ -140,7 +140,7 @@ def run(
     settings : Settings or None
         Of all stages; defaults if None.
     readout : Readout, str or None
-        Read-out of the CGEM layers, instead of that of the settings. A read-out that starts from ionization clusters
+        Readout of the CGEM layers, instead of that of the settings. A readout that starts from ionization clusters
         makes them rows of ``steps``.
     fit_detector : Detector or None
         Detector that the reconstruction assumes: clusters, finder and fit. None: the simulated one.
@@ -341,7 +341,7 @@ def _checked(
 
 
 def check_clusterer(detector: Detector | None, settings: Settings | None, until: object) -> None:
-    """Raise an error if clusters of the read-out cannot be made, before anything is simulated."""
+    """Raise an error if clusters of the readout cannot be made, before anything is simulated."""
     if detector is not None and settings is not None and until in STAGES[2:]:
         clusterer_of(settings.digitize.readout).check(without_layers(detector))
 

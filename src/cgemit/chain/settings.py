@@ -80,7 +80,7 @@ def fit_settings(settings: Settings) -> FitSettings:
 def register_readout(
     readout: type[Readout], digitizer: type[Digitizer] | None = None, clusterer: type[Clusterer] | None = None
 ) -> None:
-    """Make a read-out from outside the package known by its name, to settings, simulation and reconstruction.
+    """Make a readout from outside the package known by its name, to settings, simulation and reconstruction.
 
     Call it where `readout` is defined, so that processes of an executor that import the class know it, too.
 
@@ -147,9 +147,9 @@ def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
 
 
 def for_run(settings: Settings, readout: Readout | str | None) -> Settings:
-    """Return the settings of a run: with its read-out, and with what the stages need of each other.
+    """Return the settings of a run: with its readout, and with what the stages need of each other.
 
-    A read-out that starts from ionization clusters needs steps; raw drift times are corrected in the reconstruction.
+    A readout that starts from ionization clusters needs steps; raw drift times are corrected in the reconstruction.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def for_run(settings: Settings, readout: Readout | str | None) -> Settings:
     Raises
     ------
     ValueError
-        If the read-out is unknown, or the simulation cannot make what it needs.
+        If the readout is unknown, or the simulation cannot make what it needs.
     """
     if readout is not None:
         given = settings.digitize

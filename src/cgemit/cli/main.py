@@ -37,11 +37,11 @@ COMMANDS = {
     "simulate": "shoot particles and write hits, clusters and tracks as tables",
     "find": "efficiency, fakes and clones of track finding",
     "display": "draw one event",
-    "readout": "resolution of an analog read-out against the incidence; errors of its clusters",
+    "readout": "resolution of an analog readout against the incidence; errors of its clusters",
     "refit": "fit tracks of BESIII again, beside its own fit",
     "slab": "scattering and energy loss in layers of matter",
     "detectors": "list the detectors that come with cgemit",
-    "show": "tables of material and read-out, pictures",
+    "show": "tables of material and readout, pictures",
     "validate": "check detector files, listing every problem",
     "settings": "print the settings of all stages as a file",
     "notebooks": "write the notebooks of the documentation",
@@ -59,7 +59,7 @@ examples:
   cgemit optimize plan.toml -o best                  the best designs within limits
   cgemit slab "Kapton 300 um + Cu 33 um" --particle pi- --p 0.5
                                                      scattering and energy loss in layers of matter
-  cgemit show besiii-cgem                            tables of material and read-out, pictures
+  cgemit show besiii-cgem                            tables of material and readout, pictures
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
   cgemit display -d besiii-cgem --p 1 --cos-theta 0 -o event
                                                      one event as a picture; --html: in three dimensions

@@ -196,7 +196,7 @@ def add_readout(parser: argparse.ArgumentParser, default: str | None = None) -> 
     usual = f"default {default}; " if default else ""
     parser.add_argument(
         "--readout", metavar="NAME", default=default,
-        help=f"read-out of the CGEM layers: {names_of()} "
+        help=f"readout of the CGEM layers: {names_of()} "
         f"({usual}digitize.readout; --set digitize.readout.KEY changes its settings)",
     )  # fmt: skip
 

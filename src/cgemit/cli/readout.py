@@ -1,4 +1,4 @@
-"""`cgemit readout`: what an analog read-out resolves against the incidence, and the errors of its clusters."""
+"""`cgemit readout`: what an analog readout resolves against the incidence, and the errors of its clusters."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION = """\
-Position resolution, number of strips and efficiency of a read-out in both views, in one layer of 2 m radius with the
+Position resolution, number of strips and efficiency of a readout in both views, in one layer of 2 m radius with the
 gas, gaps and strips of besiii-cgem-design, for the charge centroid, the micro-TPC fit, the line through the charge, and
 with the angle of the track. --scan selects what varies: the angle of incidence, the magnetic field (T), the drift field
 (kV/cm), the gain or the threshold (fC). Angles count from the radius, in the plane across the beam line; electrons are
 bent towards positive angles if the field is positive.
 
-With --fit FILE: factors of the read-out's chip in the errors of its clusters, found with muons in designs drawn at
+With --fit FILE: factors of the readout's chip in the errors of its clusters, found with muons in designs drawn at
 random (pitch 0.3 to 1.2 mm, gap 3 to 8 mm, gain and threshold x 0.5 to 2, 0 to 1.2 T), and the pulls of clusters in
-other designs. The read-outs of the package have theirs."""
+other designs. The readouts of the package have theirs."""
 
 EXAMPLES = """\
 examples:

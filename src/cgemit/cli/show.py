@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION = """\
-Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its read-out
+Print what a detector is made of (radii and X/X0 at normal incidence, per scatterer and per sub-layer) and its readout
 (strips, pitch, stereo angles, wires), and draw it: r-phi.png, r-z.png, layers.png (and .pdf) in the output folder,
 beside detector.toml (the complete description), summary.json (the printed numbers), with --gdml detector.gdml (volumes
 and materials for Geant4, DD4hep and ROOT), and with --delphes detector.tcl (the block DetectorGeometry of a Delphes
@@ -42,7 +42,7 @@ _SUB_LAYERS = (
     ("x0_percent", "X/X0 %", ".4f"),
 )  # fmt: skip
 _CGEM = (
-    ("layer", "layer", "<s"), ("r_mid_gap_mm", "r mid gap/mm", ".3f"), ("r_readout_mm", "r read-out/mm", ".4f"),
+    ("layer", "layer", "<s"), ("r_mid_gap_mm", "r mid gap/mm", ".3f"), ("r_readout_mm", "r readout/mm", ".4f"),
     ("length_mm", "length/mm", "g"), ("drift_gap_mm", "gap/mm", "g"), ("hole_outer_um", "hole/um", "g"),
     ("hole_inner_um", "waist/um", "g"), ("hole_pitch_um", "hole pitch/um", "g"), ("sheets", "sheets", "d"),
     ("phi_first_deg", "first phi/deg", ".3f"), ("pitch_x_um", "X pitch/um", "g"), ("pitch_v_um", "V pitch/um", "g"),
@@ -109,7 +109,7 @@ def text(numbers: Mapping[str, Any]) -> str:
     if sub_layers:
         lines += ["", "Sub-layers", *_rows(_SUB_LAYERS, sub_layers)]
     if numbers["cgem"]:
-        lines += ["", "CGEM read-out (strips per sheet)", *_rows(_CGEM, numbers["cgem"])]
+        lines += ["", "CGEM readout (strips per sheet)", *_rows(_CGEM, numbers["cgem"])]
     if numbers["layers"]:
         lines += ["", "Layers that measure positions (V at 90 deg: z)", *_rows(_LAYERS, numbers["layers"])]
     if numbers["wires"]:

@@ -172,7 +172,7 @@ def analytic(
     Notes
     -----
     Scattering and straggling enter with the variances of the fit (docs/methods/matter.md), measurements with the errors
-    of the read-out, so that the result is that of a fit whose assumptions hold: simulation with
+    of the readout, so that the result is that of a fit whose assumptions hold: simulation with
     ``fluctuations="gaussian"``. Near the ends of the layers, where scattering decides which hits a track has, the
     trajectories of the samples scatter (only at the origin, and if more than one track is averaged).
 
@@ -180,7 +180,7 @@ def analytic(
     --------
     >>> muons = cg.analytic("besiii-cgem-design", "mu-", p=[0.3, 1.0])
     >>> muons
-    <besiii-cgem-design, mu-, read-out binary
+    <besiii-cgem-design, mu-, readout binary
       p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 308.5 um, sigma(d_z) 0.4325 mm, sigma(p) 0.8343 MeV/c
       p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.7 um, sigma(d_z) 0.2837 mm, sigma(p) 4.661 MeV/c>
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
@@ -212,7 +212,7 @@ def covariance_at(
     Raises
     ------
     ValueError
-        If the read-out has no expected errors.
+        If the readout has no expected errors.
     """
     readout = digitize.readout
     warn_of_losses(detector, readout)
@@ -274,7 +274,7 @@ class ExpectedHits(NamedTuple):
 
 @once
 def _hit_model(detector: Detector, clusterer: Clusterer, sides_known: bool, fit: FitSettings) -> ExpectedHits:
-    """Return how hits of a read-out are expected."""
+    """Return how hits of a readout are expected."""
     model: HitModel = {
         "least_width": fit.least_width, "delta_strips": fit.delta_strips, "sides_known": sides_known, "seed": 0,
         "prior_sigma": fit.prior_sigma,
@@ -287,7 +287,7 @@ def _hit_model(detector: Detector, clusterer: Clusterer, sides_known: bool, fit:
 
 
 def with_errors_of(model: HitModel, clusterer: Clusterer, detector: Detector) -> HitModel:
-    """Return a model with the errors that clusters of a read-out have in a detector.
+    """Return a model with the errors that clusters of a readout have in a detector.
 
     Parameters
     ----------
@@ -308,12 +308,12 @@ def _errors(clusterer: Clusterer, detector: Detector) -> tuple[Floats, Floats, F
     alone, at = view.detector, view.layer
     sigma_x, sigma_v = clusterer.expected_errors(alone)
     given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(alone)}
-    x, v, xv = (_by_angle(f"read-out {readout.name}: {name}", one, len(at)) for name, one in given.items())
+    x, v, xv = (_by_angle(f"readout {readout.name}: {name}", one, len(at)) for name, one in given.items())
     for name, values in (("sigma_x", x), ("sigma_v", v)):
         if not (np.isfinite(values) & (values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
-            raise ValueError(f"read-out {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
+            raise ValueError(f"readout {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
     if not (np.abs(xv) < 1).all():
-        raise ValueError(f"read-out {readout.name}: correlations: expected numbers between -1 and 1")
+        raise ValueError(f"readout {readout.name}: correlations: expected numbers between -1 and 1")
     xv = np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
     if not detector.layer:
         return x, v, xv

@@ -492,7 +492,7 @@ class Covariance:
             for p, c, dr, dz, sp, s in zip(*(np.ravel(one) for one in columns), strict=True)
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
-        head = f"<{self.detector.name}, {self.particle}, read-out {self.readout.name}"
+        head = f"<{self.detector.name}, {self.particle}, readout {self.readout.name}"
         radii = np.unique(self.radius[~np.isnan(self.radius)])
         if len(radii):
             head += f", on cylinders of {', '.join(f'{radius:g}' for radius in radii)} mm"

@@ -484,7 +484,7 @@ def complete_layer(values: dict[str, Any]) -> None:
 
     An `offset_v` of ``"centred"`` becomes a number.
 
-    The stereo angle is that of the sheet's diagonal in whole strips, as in the read-out of the BESIII CGEM
+    The stereo angle is that of the sheet's diagonal in whole strips, as in the readout of the BESIII CGEM
     (docs/methods/detector.md). `stereo_sign` is removed.
     """
     sign = values.pop("stereo_sign", 1)

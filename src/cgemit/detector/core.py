@@ -1,4 +1,4 @@
-"""The detector in the core's form: slabs of matter, read-out layers, strip maps, wire layers, field."""
+"""The detector in the core's form: slabs of matter, readout layers, strip maps, wire layers, field."""
 
 from __future__ import annotations
 
@@ -475,7 +475,7 @@ def usual_momentum_error(detector: Detector) -> float:
 
 
 def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
-    """Return plane layers of matter, one behind the other, as a compiled detector without read-out.
+    """Return plane layers of matter, one behind the other, as a compiled detector without readout.
 
     Parameters
     ----------
@@ -505,7 +505,7 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 
 def layer_table(layers: Sequence[Layer]) -> Columns:
-    """Return the read-out of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
+    """Return the readout of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "stereo", "offset_v", "dead_seam", "dead_ends")
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
@@ -528,7 +528,7 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
 
 
 class StripView(NamedTuple):
-    """The CGEM layers of a detector as read-outs with strips see them: alone, with numbers and strips of their own."""
+    """The CGEM layers of a detector as readouts with strips see them: alone, with numbers and strips of their own."""
 
     detector: Detector
     number: Ints  # (layers,) number among the CGEM layers, -1 for other layers

@@ -173,7 +173,7 @@ def _material(x0: float, materials: dict[str, Any]) -> str:
 def card_of(detector: Contents) -> str:
     r"""Return the geometry of a detector as a block ``DetectorGeometry``, with the strength of the field before it.
 
-    Clusters of CGEM layers have the errors of the read-out ``gaussian``; a layer of wires is a cylinder at its radius
+    Clusters of CGEM layers have the errors of the readout ``gaussian``; a layer of wires is a cylinder at its radius
     at z = 0 that measures along its stereo angle. What other layers measure by a pitch has its error.
 
     Parameters

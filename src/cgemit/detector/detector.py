@@ -62,7 +62,7 @@ class Detector(Contents):
 
         The world is air; each sub-layer is a tube of its material at its effective density, with an `auxiliary` that
         states its radiation length; the gas of the chamber is one tube for each wire layer, smeared wires mixed in.
-        Read-out, wires one by one, and the field are not written.
+        Readout, wires one by one, and the field are not written.
 
         Parameters
         ----------

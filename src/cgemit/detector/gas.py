@@ -635,7 +635,7 @@ def drift_columns(detector: Detector) -> dict[str, Floats]:
             found.append(layer_drift(layer, detector.field.bz))
         except ValueError as error:
             problems.take(error, f"cgem.{layer.label}")
-    problems.report(f"{detector.name}: no electron transport for the read-out")
+    problems.report(f"{detector.name}: no electron transport for the readout")
     columns = np.array(found, np.float64).reshape(-1, len(LayerDrift._fields)).T
     return dict(zip(LayerDrift._fields, columns.copy(), strict=True))
 

@@ -40,7 +40,7 @@ def once(make: Callable[Concatenate[_P, _A], _R]) -> Callable[Concatenate[_P, _A
         except KeyError:
             value = values[key] = make(part, *args, **named)
             return value
-        except TypeError:  # an argument has no hash, such as a read-out from outside the package with a list
+        except TypeError:  # an argument has no hash, such as a readout from outside the package with a list
             return make(part, *args, **named)
 
     return kept

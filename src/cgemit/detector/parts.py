@@ -122,12 +122,12 @@ class BackgroundLevel(Part):
 
     label: str
     wire_rate: tuple[RatePoint, ...] = field(
-        metadata=key("profile", "hits of the wires with a time in the read-out window, against the radius"), default=()
+        metadata=key("profile", "hits of the wires with a time in the readout window, against the radius"), default=()
     )
     wire_runs: tuple[float, ...] = field(
         metadata=key("counts", "how often 1, 2, 3 ... cells of a layer fire side by side"), default=(1,)
     )
-    wire_window: float = field(metadata=key("time", "read-out window of the wires", 1, 1e6), default=2000.0)
+    wire_window: float = field(metadata=key("time", "readout window of the wires", 1, 1e6), default=2000.0)
     hot_wires: float = field(metadata=key("dimensionless", "share of the wires that are hot", 0, 1), default=0.0)
     hot_wire_rate: float = field(metadata=key("rate", "hits of a hot wire", 0, 1e6), default=0.0)
     dead_wires: float = field(metadata=key("dimensionless", "share of the wires that never fire", 0, 1), default=0.0)
@@ -148,7 +148,7 @@ class BackgroundLevel(Part):
     )
     charge_low: float = field(metadata=key("charge", "smallest charge of a strip", 0, 1e6), default=10.0)
     charge_high: float = field(metadata=key("charge", "largest charge of a strip", 0, 1e6), default=50.0)
-    strip_window: float = field(metadata=key("time", "read-out window of the strips", 1, 1e6), default=1000.0)
+    strip_window: float = field(metadata=key("time", "readout window of the strips", 1, 1e6), default=1000.0)
     efficiency_x: float = field(
         metadata=key("dimensionless", "share of the X strips fired by particles that are read out", 0, 1), default=1.0
     )
@@ -241,7 +241,7 @@ StripRanges = tuple[tuple[int, int, int], ...]
 
 
 class MeasuringCylinder(Placed):
-    """What the layers that measure have in common: a read-out surface with views X and V, and the matter around it.
+    """What the layers that measure have in common: a readout surface with views X and V, and the matter around it.
 
     A layer of either kind also has `label`, `r_readout`, `r_gap_in` and `r_gap_out` (where a crossing begins and ends),
     `r_in`, `r_out`, `stacks`, `sheets`, `phi_first`, `stereo`, `strips_x`, `strips_v`, `offset_v`.
@@ -259,7 +259,7 @@ class MeasuringCylinder(Placed):
 
         @property
         def sheets(self) -> int:
-            """Read-out sheets around the layer."""
+            """Readout sheets around the layer."""
 
         @property
         def stereo(self) -> float:
@@ -329,7 +329,7 @@ class CgemLayer(MeasuringCylinder):
         metadata=key("length", "radius at which X is measured, minus anode_radius", -5.0, 5.0), default=0.0
     )
     length: float = field(metadata=key("length", "active length along the beam", 10.0, 5000.0))  # mm
-    sheets: int = field(metadata=key("integer", "number of read-out sheets around the layer", 1, 8))
+    sheets: int = field(metadata=key("integer", "number of readout sheets around the layer", 1, 8))
     phi_first: float = field(metadata=key("angle", "azimuth of X = 0 of the first sheet", -2 * math.pi, 2 * math.pi))
     pitch_x: float = field(metadata=key("length", "pitch of the X strips", 0.01, 20.0))  # mm
     pitch_v: float = field(metadata=key("length", "pitch of the V strips", 0.01, 20.0))  # mm
@@ -342,7 +342,7 @@ class CgemLayer(MeasuringCylinder):
     induction_field: float = field(
         metadata=key("electric field", "field of the induction gap", 0.01, 20.0), default=5.0
     )
-    # None: tiger and apv25 take it from gas and fields, other read-outs have none.
+    # None: tiger and apv25 take it from gas and fields, other readouts have none.
     lorentz_shift: float | None = field(
         metadata=key("length", "shift in X of electrons from mid-gap to the anode", -50.0, 50.0), default=None
     )
@@ -370,7 +370,7 @@ class CgemLayer(MeasuringCylinder):
     hot_v: StripRanges = field(metadata=key("strips", "V strips that fire in every event"), default=())
     # Of each sheet: rows along z from -length/2, each with numbers along X.
     gain_map: tuple[tuple[tuple[float, ...], ...], ...] = field(
-        metadata=key("gains", "gain of each sheet, relative to that of the read-out", 0.01, 100.0), default=()
+        metadata=key("gains", "gain of each sheet, relative to that of the readout", 0.01, 100.0), default=()
     )
 
     def __repr__(self) -> str:
@@ -820,7 +820,7 @@ def layers_of(detector: Contents) -> Labelled[Layer]:
 
 @once
 def without_layers(detector: D) -> D:
-    """Return the detector with CGEM layers alone, as read-outs with strips see it; itself if it has no others.
+    """Return the detector with CGEM layers alone, as readouts with strips see it; itself if it has no others.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Read-outs of CGEM layers as hardware: what digitization and clustering both know of them (docs/methods/readout.md).
+"""Readouts of CGEM layers as hardware: what digitization and clustering both know of them (docs/methods/readout.md).
 
-A read-out is described here, digitized by the digitizer of its class (`cgemit.simulation.digitize.DIGITIZERS`) and
+A readout is described here, digitized by the digitizer of its class (`cgemit.simulation.digitize.DIGITIZERS`) and
 clustered by the clusterer of its class (`cgemit.reconstruction.cluster.CLUSTERERS`).
 """
 
@@ -46,7 +46,7 @@ _FINE = 0.01  # ns, step in which peaks are searched
 
 @dataclass(frozen=True, kw_only=True)
 class Readout(SettingsData):
-    """Description of a read-out: a frozen dataclass of settings. `READOUTS` finds it by its name."""
+    """Description of a readout: a frozen dataclass of settings. `READOUTS` finds it by its name."""
 
     name: ClassVar[str]
 
@@ -200,7 +200,7 @@ class ProjectionReadout(Readout):
     """
 
     name: ClassVar[str] = "analog-projection"
-    #: Of a read-out from outside the package; None: those of the read-out that it extends.
+    #: Of a readout from outside the package; None: those of the readout that it extends.
     errors: ClassVar[ChipErrors | None] = None
 
     gain: Gain = GAIN
@@ -312,7 +312,7 @@ class Chip:
 
 
 def chip_arguments(readout: AnalogReadout) -> dict[str, Any]:
-    """Return what the core takes of the chip of a read-out, by name.
+    """Return what the core takes of the chip of a readout, by name.
 
     Parameters
     ----------
@@ -401,7 +401,7 @@ class AnalogReadout(Readout):
     """
 
     chip: ClassVar[Chip]
-    #: Of a read-out from outside the package; None: those of the read-out that it extends.
+    #: Of a readout from outside the package; None: those of the readout that it extends.
     errors: ClassVar[ChipErrors | None] = None
 
     gain: Gain = GAIN
@@ -468,7 +468,7 @@ class Apv25Readout(AnalogReadout):
 #: Those that measure the charge of strips (`cgemit.reconstruction.cluster_errors`).
 ChargeReadout = AnalogReadout | ProjectionReadout
 
-#: Read-outs of CGEM layers by name.
+#: Readouts of CGEM layers by name.
 READOUTS: dict[str, type[Readout]] = {
     one.name: one for one in (BinaryReadout, GaussianReadout, TigerReadout, Apv25Readout, ProjectionReadout)
 }
@@ -477,7 +477,7 @@ Part = TypeVar("Part")
 
 
 def part_of(readout: Readout, parts: Mapping[type[Readout], Part]) -> Part:
-    """Return the digitizer or clusterer of a read-out: that of its class, or of the nearest class that it extends."""
+    """Return the digitizer or clusterer of a readout: that of its class, or of the nearest class that it extends."""
     for one in type(readout).__mro__:
         if one in parts:
             return parts[one]
@@ -485,5 +485,5 @@ def part_of(readout: Readout, parts: Mapping[type[Readout], Part]) -> Part:
 
 
 def names_of(kind: type[Readout] | UnionType = Readout) -> str:
-    """Return the names of the read-outs of a kind, for messages."""
+    """Return the names of the readouts of a kind, for messages."""
     return ", ".join(name for name, one in READOUTS.items() if issubclass(one, kind))

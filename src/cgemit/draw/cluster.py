@@ -198,7 +198,7 @@ def draw_projection(result: Result, event: int, layer: int = 0) -> Picture:
     Returns
     -------
     Picture
-        Across the beam (X strips) and along it (V strips), unrolled at the read-out radius.
+        Across the beam (X strips) and along it (V strips), unrolled at the readout radius.
 
     Raises
     ------

@@ -581,13 +581,13 @@ def resolutions(scans: Sequence[Any]) -> Picture:
 
 
 def about(scans: Sequence[Any]) -> str:
-    """Return particles, angle, number of events, read-out and finder of some scans as text."""
+    """Return particles, angle, number of events, readout and finder of some scans as text."""
     particles = ", ".join(dict.fromkeys(str(scan.orders[0].gun.particle) for scan in scans))
     parts = [f"{particles}, {scans[0].angle}"]
     events = dict.fromkeys(scan.orders[0].n_events for scan in scans if scan.method == "mc")
     parts += [f"{n:,} simulated events at each momentum" for n in events]
     readouts = ", ".join(dict.fromkeys(scan.readout for scan in scans if scan.readout))
-    parts += [f"read-out {readouts}"] if readouts else []
+    parts += [f"readout {readouts}"] if readouts else []
     parts += [f"hits {hits}" for hits in dict.fromkeys(scan.hits for scan in scans if scan.hits)]
     return "core widths: " + ", ".join(parts)
 

@@ -446,7 +446,7 @@ def unit_scaled(column: Sequence[Any], rows: Any) -> tuple[Any, tuple[str, str]]
 
 
 _NAMES = {
-    "x0": "X/X₀ of the CGEM", "area": "read-out area", "gap": "smallest gap", "pt_threshold": "threshold in $p_T$",
+    "x0": "X/X₀ of the CGEM", "area": "readout area", "gap": "smallest gap", "pt_threshold": "threshold in $p_T$",
     "outer_radius": "outer radius", "inner_radius": "inner radius",
 }  # fmt: skip
 #: Most lines of parallel coordinates that can be told apart.

@@ -260,7 +260,7 @@ def _mark_layer(ax: Axes, layer: CgemLayer) -> Line2D:
     place = (layer.r_mid * math.cos(phi), layer.r_mid * math.sin(phi))
     box = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
     ax.text(*place, plain(layer.label), ha="center", va="center", fontsize=9, fontweight="bold", bbox=box)
-    return Line2D([], [], color=COLORS["fit"], linewidth=1.6, label="edge of a read-out sheet")
+    return Line2D([], [], color=COLORS["fit"], linewidth=1.6, label="edge of a readout sheet")
 
 
 def _polar_angles(ax: Axes, edge: float, reach: float) -> None:

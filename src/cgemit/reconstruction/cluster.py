@@ -1,4 +1,4 @@
-"""Clustering: digis of any read-out become clusters (docs/methods/cluster.md, docs/methods/readout.md)."""
+"""Clustering: digis of any readout become clusters (docs/methods/cluster.md, docs/methods/readout.md)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer, cluster
 from cgemit.tables import Table
 from cgemit.tables.table import made_by
 
-#: Clusterers by the class of their read-out; they serve the classes that extend it, too.
+#: Clusterers by the class of their readout; they serve the classes that extend it, too.
 CLUSTERERS: dict[type[Readout], type[Clusterer]] = {
     BinaryReadout: BinaryClusterer,
     GaussianReadout: GaussianClusterer,
@@ -40,17 +40,17 @@ CLUSTERERS: dict[type[Readout], type[Clusterer]] = {
 
 
 def clusterer_of(readout: Readout | str) -> Clusterer:
-    """Return the clusterer of a read-out.
+    """Return the clusterer of a readout.
 
     Parameters
     ----------
     readout : Readout or str
-        A name stands for the read-out with its defaults.
+        A name stands for the readout with its defaults.
 
     Raises
     ------
     ValueError
-        If there is no such read-out.
+        If there is no such readout.
     """
     if isinstance(readout, str):
         if readout not in READOUTS:
@@ -60,7 +60,7 @@ def clusterer_of(readout: Readout | str) -> Clusterer:
 
 
 def charge_clusterer(readout: ChargeReadout) -> ChargeClusterer:
-    """Return the clusterer of a read-out that measures charge.
+    """Return the clusterer of a readout that measures charge.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def warn_of_losses(detector: Detector, readout: Readout) -> None:
     ]
     if thin:
         warnings.warn(
-            f"{detector.name}: crossings without clusters of read-out {readout.name}, for lack of "
-            f"ionization: {', '.join(thin)}; read-out gaussian needs none",
+            f"{detector.name}: crossings without clusters of readout {readout.name}, for lack of "
+            f"ionization: {', '.join(thin)}; readout gaussian needs none",
             stacklevel=3,
         )
 
@@ -121,7 +121,7 @@ def cluster(
     settings : ClusterSettings or None
     readout : Readout or str
         With which the digis were made, such as ``TigerReadout(estimator="centroid")``. Its name alone stands for the
-        read-out with its defaults.
+        readout with its defaults.
     directions : (clusters, 2) float64 or None
         Of fitted tracks, see `Clusterer.cluster`.
 
@@ -133,7 +133,7 @@ def cluster(
     Raises
     ------
     TypeError, ValueError
-        If a digi is not in the detector, there is no such read-out, or a clusterer from outside the package makes
+        If a digi is not in the detector, there is no such readout, or a clusterer from outside the package makes
         anything but clusters of the same events.
 
     Examples
@@ -147,11 +147,11 @@ def cluster(
 
     def of_readout(alone: Detector, digis: Table, directions: Floats | None) -> Table:
         found = clusterer.cluster(alone, digis, settings, directions)
-        return made_by(f"read-out {clusterer.readout.name}", "clusters", found, digis)
+        return made_by(f"readout {clusterer.readout.name}", "clusters", found, digis)
 
     if not detector.layer:
         return of_readout(detector, digis, directions)
-    # The read-out sees CGEM layers alone; other layers measure positions.
+    # The readout sees CGEM layers alone; other layers measure positions.
     view = strip_view(detector)
     is_strip = _numbers(view, digis) >= 0
     errors = np.array([(0.0, 0.0) if isinstance(one, CgemLayer) else one.errors for one in detector.layers])

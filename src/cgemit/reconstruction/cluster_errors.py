@@ -40,13 +40,13 @@ _HOLES = 5 / 36 / 2  # variance of the way to the nearest hole, in squares of th
 
 @cache
 def _of_package() -> dict[str, ChipErrors]:
-    """Return the factors of the read-outs of the package by name."""
+    """Return the factors of the readouts of the package by name."""
     text = (resources.files("cgemit.reconstruction") / "cluster_errors.toml").read_text(encoding="utf-8")
     return {name: ChipErrors(**found) for name, found in tomllib.loads(text).items()}
 
 
 def chip_errors(name: str) -> ChipErrors:
-    """Return the factors of a read-out of the package.
+    """Return the factors of a readout of the package.
 
     Parameters
     ----------
@@ -58,12 +58,12 @@ def chip_errors(name: str) -> ChipErrors:
         If the package has none of this name.
     """
     if name not in _of_package():
-        raise ValueError(f"errors of clusters: got read-out {name!r}, expected one of {', '.join(_of_package())}")
+        raise ValueError(f"errors of clusters: got readout {name!r}, expected one of {', '.join(_of_package())}")
     return _of_package()[name]
 
 
 def errors_of(readout: ChargeReadout) -> ChipErrors:
-    """Return the factors of a read-out: its own, or those of the read-out of the package that it extends.
+    """Return the factors of a readout: its own, or those of the readout of the package that it extends.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def errors_of(readout: ChargeReadout) -> ChipErrors:
 
 
 class ErrorInputs(NamedTuple):
-    """What the core's formulas take of a detector and a read-out, by the names of its arguments."""
+    """What the core's formulas take of a detector and a readout, by the names of its arguments."""
 
     chip: dict[str, float]
     planes: dict[str, Floats]
@@ -257,7 +257,7 @@ class Expected(NamedTuple):
 
 @lru_cache(maxsize=256)
 def expected_errors(detector: Detector, readout: ChargeReadout, estimator: str, of_track: bool) -> Expected:
-    """Return the errors that a read-out is expected to have, without events.
+    """Return the errors that a readout is expected to have, without events.
 
     The formulas are those of a cluster that is seen, for the mean width, and the geometric mean over numbers of
     electrons in equal steps of their distribution.

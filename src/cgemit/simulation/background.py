@@ -122,7 +122,7 @@ Channels = npt.NDArray[np.integer[Any]]
 STRESS_WINDOW = 400.0  # ns, of a given share of cells: all of them look like hits of tracks
 #: Fired cells in a row for a given share of cells, and how often: as measured at BESIII, where most are in clumps.
 STRESS_RUNS = (646, 167, 52, 39, 25, 21, 51)
-#: Read-out windows of wires and strips, ns. They begin early enough for the resolution of a drift time of 0.
+#: Readout windows of wires and strips, ns. They begin early enough for the resolution of a drift time of 0.
 BEGIN, WINDOWS = -20.0, {"wire_hits": 2000.0, "digis": 1000.0}
 
 
@@ -132,7 +132,7 @@ def add_background(
     """Return digis and wire hits with background and other events; of several hits of a cell, the earliest is kept.
 
     Hot strips that the layers of the detector file list fire in every event, whatever the settings. A strip that has
-    fired already stays as it is. Dead channels have no hit. Read-outs without strips get background on wires only.
+    fired already stays as it is. Dead channels have no hit. Readouts without strips get background on wires only.
 
     Parameters
     ----------
@@ -373,8 +373,8 @@ def mix_events(
     """Return digis and wire hits with those of an event of other tables added to each event.
 
     The event is chosen at random. Its times are shifted by a number from a uniform range; hits before -20 ns or after
-    the read-out window are lost, and drift distances follow from the shifted drift times. Of several hits of a cell the
-    earliest is kept. Of a strip that both events fire, charges are added, and the earliest time is kept. Read-outs
+    the readout window are lost, and drift distances follow from the shifted drift times. Of several hits of a cell the
+    earliest is kept. Of a strip that both events fire, charges are added, and the earliest time is kept. Readouts
     without strips are mixed on wires only.
 
     Parameters

@@ -105,7 +105,7 @@ def true_delay(detector: Detector, wire_truths: Table) -> Floats:
     return np.asarray(delay, np.float64)
 
 
-#: Digitizers by the class of their read-out; they serve the classes that extend it, too.
+#: Digitizers by the class of their readout; they serve the classes that extend it, too.
 DIGITIZERS: dict[type[Readout], type[Digitizer]] = {
     BinaryReadout: BinaryDigitizer,
     GaussianReadout: GaussianDigitizer,
@@ -152,7 +152,7 @@ class DigitizeSettings(SettingsData):
 
 
 def digitizer_of(readout: Readout) -> Digitizer:
-    """Return the digitizer of a read-out.
+    """Return the digitizer of a readout.
 
     Parameters
     ----------
@@ -219,11 +219,11 @@ def digitize(
 
 
 def _digis(detector: Detector, readout: Readout, truths: Table, steps: Table, seed: int) -> Table:
-    """Return the digis of all layers: the read-out's, which sees CGEM layers alone, and positions of the others."""
+    """Return the digis of all layers: the readout's, which sees CGEM layers alone, and positions of the others."""
 
     def of_readout(alone: Detector, truths: Table, steps: Table) -> Table:
         digis = digitizer_of(readout).digitize(alone, truths, steps, seed)
-        return made_by(f"read-out {readout.name}", "digis", digis, truths)
+        return made_by(f"readout {readout.name}", "digis", digis, truths)
 
     if not detector.layer:
         return of_readout(detector, truths, steps)

@@ -242,7 +242,7 @@ class ScanBase(Shown, Tabular):
 
     @property
     def readout(self) -> str:
-        """Read-out of the CGEM layers; empty for a detector without them."""
+        """Readout of the CGEM layers; empty for a detector without them."""
         first = self.orders[0]
         return str(first.settings.digitize.readout.name) if first.detector.cgem else ""
 
@@ -514,7 +514,7 @@ class Scan(ScanBase):
             rows.append(row)
         first = self.samples[0]
         shot = f"{first.detector.name}, {shot_text(first)}"
-        made = ", ".join(filter(None, [self.readout and f"read-out {self.readout}", f"hits {self.hits}"]))
+        made = ", ".join(filter(None, [self.readout and f"readout {self.readout}", f"hits {self.hits}"]))
         title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
         head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
         return title, [*head, "decayed", "fitted", "not fitted"], rows
@@ -687,7 +687,7 @@ class AnalyticScan(ScanBase):
 
     def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         title = f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
-        title += f"; read-out {self.readout}" if self.readout else ""
+        title += f"; readout {self.readout}" if self.readout else ""
         head = [f"{momentum_name(self.orders[0])} [GeV/c]", *(_head(name)[0] for name in MAIN), "with covariance"]
         values = [self.at(name) for name in MAIN]
         shares = self.reached[self._asked()]
@@ -741,7 +741,7 @@ def scan_analytic(
     seed : int
         Kept for the record; nothing is random.
     settings : Settings, optional
-        Of all stages; the read-out, the sides of the wires and the fit enter.
+        Of all stages; the readout, the sides of the wires and the fit enter.
     threads : int, optional
         Default: all cores.
 

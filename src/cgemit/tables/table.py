@@ -425,7 +425,7 @@ def made_by(maker: str, kind: str, table: object, source: Table) -> Table:
     Parameters
     ----------
     maker : str
-        For messages, such as ``"read-out tiger"``.
+        For messages, such as ``"readout tiger"``.
     kind : str
     table : object
         What it returned.

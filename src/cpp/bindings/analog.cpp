@@ -157,7 +157,7 @@ void check(const AnalogModel& readout) {
   for (std::size_t i = 0; i < readout.drift.size(); ++i) check(problems, readout.drift[i], i);
   check(problems, readout.physics);
   check(problems, readout.chip);
-  const Part part(problems, "read-out");
+  const Part part(problems, "readout");
   part.within("share_spread", readout.share_spread, 0, far);
   problems.raise("read_out_analog");
 }

@@ -211,7 +211,7 @@ void bind_cluster(py::module_& module) {
              "Columns of clusters from columns of digis: contiguous strips.");
   module.def("clusters_of_positions", &of_positions, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("err_x"), py::arg("err_v"),
-             "Columns of clusters from columns of digis: read-out without strips.");
+             "Columns of clusters from columns of digis: readout without strips.");
   module.def("find_charge_time_clusters", &with_times, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("timing"), py::arg("delays"), py::arg("chip"), py::arg("planes"), py::arg("shares"),
              py::arg("estimator"), py::arg("missing"), py::arg("edge"),

@@ -121,10 +121,10 @@ void bind_digitize(py::module_& module) {
   module.def("read_out_strips", &strips, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("threshold"),
              py::arg("gains") = py::dict(),
-             "Columns of digis from columns of truths and steps: binary read-out.");
+             "Columns of digis from columns of truths and steps: binary readout.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
              py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"),
-             "Columns of digis from columns of truths: read-out without strips.");
+             "Columns of digis from columns of truths: readout without strips.");
   module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),
              py::arg("noise"), py::arg("seed"), py::arg("gains") = py::dict(),

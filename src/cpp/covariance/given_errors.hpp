@@ -1,4 +1,4 @@
-// Errors of clusters that a read-out gives, for the angle of each track.
+// Errors of clusters that a readout gives, for the angle of each track.
 #pragma once
 
 #include <algorithm>

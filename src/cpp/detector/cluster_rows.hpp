@@ -1,4 +1,4 @@
-// Rows of the clusters table and the formulas that fill them, shared by the read-outs with strips and those
+// Rows of the clusters table and the formulas that fill them, shared by the readouts with strips and those
 // without.
 #pragma once
 
@@ -14,7 +14,7 @@ namespace cgemit {
 
 enum class ClusterView : std::int8_t { x = 0, v = 1, xv = 2 };
 // The source of the position: strips, whose error depends on their number and the incidence of the track, or
-// the read-out itself, with a fixed error.
+// the readout itself, with a fixed error.
 enum class ClusterMethod : std::int8_t { strips = 0, positions = 1 };
 
 inline constexpr double not_measured = std::numeric_limits<double>::quiet_NaN();
@@ -39,7 +39,7 @@ struct ClusterRow {
 };
 
 // Sets the azimuth of a row from its x and err_x. The azimuth is also valid at mid-gap: charge is projected
-// to the read-out at unchanged phi and z.
+// to the readout at unchanged phi and z.
 inline void set_azimuth(const MeasuringLayer& layer, ClusterRow& row) {
   row.phi = azimuth(layer, row.sheet, row.x);
   row.err_phi = row.err_x / layer.r_readout;

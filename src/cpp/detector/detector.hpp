@@ -92,7 +92,7 @@ struct Placement {
 
 inline constexpr int most_sheets = 8;  // of a layer
 
-// One cylindrical layer with its read-out, of two views or one: a GEM layer, or a sensor that measures
+// One cylindrical layer with its readout, of two views or one: a GEM layer, or a sensor that measures
 // positions.
 struct MeasuringLayer {
   double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
@@ -112,7 +112,7 @@ struct MeasuringLayer {
   Placement placement = {};
   double dead_seam = 0;             // mm, width about each edge of a sheet where nothing is measured
   double dead_ends = 0;             // mm, length at each end of the layer where nothing is measured
-  double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in read-outs without drift
+  double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in readouts without drift
   bool has_x = true, has_v = true;  // views that are measured
 
   bool has(bool x) const { return x ? has_x : has_v; }

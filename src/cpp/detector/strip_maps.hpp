@@ -1,5 +1,5 @@
 // What the description says of single strips and of regions of a sheet: strips that give no usable signal,
-// and the gain relative to that of the read-out.
+// and the gain relative to that of the readout.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Local coordinates on the unrolled read-out of a CGEM layer, in mm:
+// Local coordinates on the unrolled readout of a CGEM layer, in mm:
 //   X = r_readout (phi - phi_first[sheet])            along the circumference, from 0 to sheet_width()
 //   V = X cos(stereo) + (z_ref - z) sin(stereo)       across the stereo strips, from 0 upwards
 // X strip i covers X from i to i + 1 pitches, V strip i covers V from i + offset_v to i + 1 + offset_v

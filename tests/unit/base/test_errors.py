@@ -259,7 +259,7 @@ def test_an_error_of_the_command_line_is_one_line(arguments, message, capsys):
 
 @dataclass(frozen=True)
 class Toy:
-    """A read-out that nobody has registered."""
+    """A readout that nobody has registered."""
 
     name: ClassVar[str] = "toy"
 

@@ -151,7 +151,7 @@ def test_settings_of_a_stage_change_what_they_are_for(stage: str, folder: str) -
     assert found == {key: set(case.changed) for key, case in cases.items()}
 
 
-#: Another value of each setting of the read-outs, and whether digis, and clusters of the same digis, change.
+#: Another value of each setting of the readouts, and whether digis, and clusters of the same digis, change.
 BOTH = ("digis", "clusters")
 ANALOG: dict[str, tuple[Any, tuple[str, ...]]] = {
     "gain": (9000.0, BOTH),
@@ -197,7 +197,7 @@ GIVEN: dict[str, dict[str, Any]] = {"edge": {"estimator": "micro-tpc"}}
     "name", [pytest.param(name, marks=pytest.mark.slow if READOUT_CASES[name] is ANALOG else ()) for name in READOUTS]
 )
 def test_settings_of_a_readout_change_what_they_are_for(name: str) -> None:
-    """Digis, and clusters of the digis of the defaults: each half of a read-out takes the settings that it needs."""
+    """Digis, and clusters of the digis of the defaults: each half of a readout takes the settings that it needs."""
     given, cases = READOUTS[name](), READOUT_CASES[name]
     assert cases.keys() == kinds_of(READOUTS[name]).keys()
     settings = cg.Settings().with_overrides({"simulate.steps": True})

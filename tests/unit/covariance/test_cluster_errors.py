@@ -22,7 +22,7 @@ ANGLES = np.array([-0.97, -0.9, -0.8, -0.3, 0.0, 0.07, 0.45, 0.6, 0.85, 0.93])
 
 @pytest.fixture
 def angular(monkeypatch: pytest.MonkeyPatch) -> dict[str, Floats]:
-    """Make the Gaussian read-out's errors and correlations depend on the angle; return them."""
+    """Make the Gaussian readout's errors and correlations depend on the angle; return them."""
     random = np.random.default_rng(5)
     x, v = random.uniform(0.08, 0.3, (2, 3, 17))
     given = {"x": x, "v": v, "xv": random.uniform(-0.6, 0.6, (3, 17))}
@@ -95,7 +95,7 @@ def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("rho", [1.0, -1.2, np.nan])
 def test_impossible_correlations(rho: float, monkeypatch: pytest.MonkeyPatch) -> None:
     expect(monkeypatch, cg.GaussianReadout, correlations=np.full(3, rho))
-    with pytest.raises(ValueError, match="read-out gaussian: correlations: expected numbers between -1 and 1"):
+    with pytest.raises(ValueError, match="readout gaussian: correlations: expected numbers between -1 and 1"):
         cg.analytic(*TRACK, 0.2, readout="gaussian")
 
 
@@ -120,7 +120,7 @@ def test_a_correlation_needs_both_errors(monkeypatch: pytest.MonkeyPatch) -> Non
 )
 def test_impossible_errors(errors: Floats, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     expect(monkeypatch, cg.GaussianReadout, (np.full(3, 0.1), errors))
-    with pytest.raises(ValueError, match=f"read-out gaussian: {message}"):
+    with pytest.raises(ValueError, match=f"readout gaussian: {message}"):
         cg.analytic(*TRACK, 0.2, readout="gaussian")
 
 

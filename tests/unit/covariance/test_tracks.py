@@ -81,7 +81,7 @@ def test_thin_gaps_lose_hits_as_in_the_simulation(gap: float, threshold: float) 
         made = cg.run(detector, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), n, 2, readout=readout, until="cluster")
     assert len(caught) == (2 if gap < 5 else 0)
     for one in caught:
-        assert "crossings without clusters of read-out binary, for lack of ionization: L1" in str(one.message)
+        assert "crossings without clusters of readout binary, for lack of ionization: L1" in str(one.message)
     every = cg.analytic(detector, "mu-", 1.0, (-0.5, 0.5), readout="gaussian", samples=n)
     expected = float(found.n_clusters / every.n_clusters)
     x = made.clusters[made.clusters["view"] == 0]

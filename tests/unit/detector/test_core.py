@@ -1,4 +1,4 @@
-"""The compiled form: slabs, read-out and wires as the core sees them, and arguments that the core refuses."""
+"""The compiled form: slabs, readout and wires as the core sees them, and arguments that the core refuses."""
 
 import dataclasses
 import math

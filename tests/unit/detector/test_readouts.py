@@ -1,4 +1,4 @@
-"""A read-out from outside the package: description, digitizer and clusterer, and one line that registers them."""
+"""A readout from outside the package: description, digitizer and clusterer, and one line that registers them."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class OneStripClusterer(BinaryClusterer):
 
 @pytest.fixture(autouse=True)
 def registered() -> Iterator[None]:
-    """Make the read-out known: the one line."""
+    """Make the readout known: the one line."""
     register_readout(OneStrip, OneStripDigitizer, OneStripClusterer)
     yield
     del READOUTS[OneStrip.name], digitize.DIGITIZERS[OneStrip], CLUSTERERS[OneStrip]
@@ -146,7 +146,7 @@ def test_the_covariance_expects_its_errors() -> None:
 
 
 def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing, another table, or one of other events is refused, and the read-out is named."""
+    """Nothing, another table, or one of other events is refused, and the readout is named."""
     stages = {"digis": (OneStripDigitizer, "digitize"), "clusters": (OneStripClusterer, "cluster")}
     for kind, stage in stages.items():
         for wrong, message in (
@@ -156,7 +156,7 @@ def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
         ):  # fmt: skip
             with monkeypatch.context() as patch:
                 patch.setattr(*stage, lambda *_, wrong=wrong: wrong)
-                with pytest.raises((TypeError, ValueError), match=f"read-out one-strip: {kind}: {message}"):
+                with pytest.raises((TypeError, ValueError), match=f"readout one-strip: {kind}: {message}"):
                     chain("one-strip", 5)
 
 

@@ -252,7 +252,7 @@ def test_the_command_writes_pictures(tmp_path: Path) -> None:
 def test_charges_of_the_strips_are_those_of_the_tables(readout: str) -> None:
     result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=0.4), n=1, seed=2, readout=readout)
     picture = cg.draw.event(result, 0)
-    assert picture.get_suptitle().startswith(f"besiii-cgem-design, read-out {readout}, event 0")
+    assert picture.get_suptitle().startswith(f"besiii-cgem-design, readout {readout}, event 0")
     digis, clusters = result.digis, result.clusters
     with_truth = np.flatnonzero((clusters["view"] < 2) & (clusters["truth"] >= 0))
     off_truth = residuals(result.detector, clusters, result.truths, with_truth)
@@ -285,7 +285,7 @@ def test_noise_has_circles_of_its_own_and_the_title_names_the_finder() -> None:
     gun = cg.Gun("mu-", p=0.5, cos_theta=0.2)
     result = cg.run("besiii-cgem", gun, n=1, seed=2, settings=settings, finder="ckf")
     picture = cg.draw.event(result, 0)
-    assert picture.get_suptitle().startswith("besiii-cgem, read-out binary, finder ckf, event 0")
+    assert picture.get_suptitle().startswith("besiii-cgem, readout binary, finder ckf, event 0")
     truth = result.wire_hits["wire_truth"]
     circles = [one for one in picture.axes[0].collections if isinstance(one, EllipseCollection)]
     for one, label, rows in zip(

@@ -545,7 +545,7 @@ def test_pulls_of_points_are_standard_normal(points):
 
 
 def test_points_without_correlation_are_x_and_v(points):
-    """The joined rows of a read-out are the same as their X and V clusters."""
+    """The joined rows of a readout are the same as their X and V clusters."""
     result, _, found = points
     fits = [
         fit(DETECTOR_POINTS, result.clusters, result.wire_hits, result.candidates, hits, FIT)["tracks"]
@@ -571,7 +571,7 @@ RHO_CORRELATED = np.array([0.6, -0.5, 0.7])
 
 @pytest.fixture
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the correlation of the Gaussian read-out known."""
+    """Make the correlation of the Gaussian readout known."""
     expect(monkeypatch, cg.GaussianReadout, correlations=RHO_CORRELATED)
 
 

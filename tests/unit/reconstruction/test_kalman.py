@@ -502,7 +502,7 @@ def helix_of_noise(shape, charge):
 
 
 def one_slab(x0, xi, spread, bz):
-    """Return the design detector's read-out with a single slab of carbon at 60 mm, and its columns."""
+    """Return the design detector's readout with a single slab of carbon at 60 mm, and its columns."""
     detector = DETECTORS_NOISE[bz]
     table = slab_table(slabs(detector))
     columns = {k: v.copy() for k, v in table.slabs.items()}

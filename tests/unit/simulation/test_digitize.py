@@ -1,4 +1,4 @@
-"""Read-out of layers and wires row by row and in distribution; strip crossings against brute force."""
+"""Readout of layers and wires row by row and in distribution; strip crossings against brute force."""
 
 import numpy as np
 import pytest
@@ -162,7 +162,7 @@ def test_settings_of_wrong_type_are_named():
         assert all("got " in line and ", expected " in line for line in lines)
 
 
-# ----- gaussian read-out
+# ----- gaussian readout
 
 
 def toy_muons(n, seed=5):
@@ -171,7 +171,7 @@ def toy_muons(n, seed=5):
 
 
 def smeared(detector, truths, n_events=1, seed=1, **settings):
-    """Clusters of the gaussian read-out."""
+    """Clusters of the gaussian readout."""
     readout = GaussianReadout(**settings)
     digis = read_out(detector, truths, n_events=n_events, seed=seed, readout=readout)["digis"]
     return cluster(detector, digis, readout=readout)

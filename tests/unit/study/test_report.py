@@ -72,7 +72,7 @@ def test_variant_and_idc_sentences_follow_the_numbers():
     assert "13.0 % more" in results.explain_gap_variant(3.0, 113.0, 100.0)
     assert "1.0 % less" in results.explain_gap_variant(3.0, 99.0, 100.0)
     assert results.explain_gap_variant(3.0, 99.0, 100.0, "tiger").endswith("1.0 % less than with the nominal gap.")
-    assert results.explain_x_window(1.0, 3, 100, 0, "tiger") == "3 of 100 residuals are outside. Read-out tiger."
+    assert results.explain_x_window(1.0, 3, 100, 0, "tiger") == "3 of 100 residuals are outside. Readout tiger."
     assert "3.00 times" in results.explain_idc("dz", 0.9, 0.3)
     assert "no tails" in results.explain_x_core(140.0, 138.0)
     assert "no tails" not in results.explain_x_core(140.0, 217.0)

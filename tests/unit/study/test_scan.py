@@ -190,7 +190,7 @@ def test_wrong_momenta_and_angles_are_listed() -> None:
 def test_the_picture_shows_every_quantity_of_every_scan(pair: list[Any]) -> None:
     picture = resolutions(pair)
     title = "core widths: mu-, cos θ = -0.5 to 0.5, 400 simulated events at each momentum"
-    assert picture.get_suptitle() == title + ", read-out binary, hits assigned by truth"
+    assert picture.get_suptitle() == title + ", readout binary, hits assigned by truth"
     for axes, name in zip(picture.axes, REPORTED, strict=True):
         lines = {bar.get_label(): bar.lines[0] for bar in axes.containers}
         assert list(lines) == [DESIGN, "wide"]
@@ -233,10 +233,10 @@ def test_several_particles_and_detectors_from_the_shell(tmp_path: Path, capsys: 
 def test_titles_name_readout_and_finder() -> None:
     settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian"))
     one = scan(DESIGN, [1.0], events=60, settings=settings, finder="ckf")
-    assert str(one).splitlines()[0].endswith("errors; read-out gaussian, hits found by ckf")
-    assert resolutions([one]).get_suptitle().endswith("momentum, read-out gaussian, hits found by ckf")
+    assert str(one).splitlines()[0].endswith("errors; readout gaussian, hits found by ckf")
+    assert resolutions([one]).get_suptitle().endswith("momentum, readout gaussian, hits found by ckf")
     line = scan_analytic(DESIGN, [1.0], cos_theta=0.0, settings=settings)
-    assert str(line).splitlines()[0].endswith("core widths, analytic; read-out gaussian")
-    assert resolutions([line]).get_suptitle().endswith("read-out gaussian")
+    assert str(line).splitlines()[0].endswith("core widths, analytic; readout gaussian")
+    assert resolutions([line]).get_suptitle().endswith("readout gaussian")
     chamber = scan("besiii-idc", [1.0], events=60)
-    assert "read-out" not in str(chamber) + resolutions([chamber]).get_suptitle()  # it has no CGEM layers
+    assert "readout" not in str(chamber) + resolutions([chamber]).get_suptitle()  # it has no CGEM layers

@@ -153,7 +153,7 @@ class ChargeTimeClusterer(ChargeClusterer):
 
     @property
     def follows_tracks(self) -> bool:
-        """Whether the read-out asks for a second pass."""
+        """Whether the readout asks for a second pass."""
         return self.readout.second_pass
 
     @property

@@ -1,4 +1,4 @@
-"""Interface of a clusterer: the half of a read-out that makes clusters of digis, without truth."""
+"""Interface of a clusterer: the half of a readout that makes clusters of digis, without truth."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ClusterSettings(SettingsData):
 
 @dataclass(frozen=True)
 class Clusterer(ABC):
-    """Makes the clusters of a read-out; `cgemit.reconstruction.cluster.CLUSTERERS` finds it by the read-out's class.
+    """Makes the clusters of a readout; `cgemit.reconstruction.cluster.CLUSTERERS` finds it by the readout's class.
 
     Attributes
     ----------

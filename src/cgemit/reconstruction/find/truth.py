@@ -172,7 +172,7 @@ def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> li
 def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
     """Return the one cluster of each crossing and view that the particle itself made.
 
-    Delta electrons may fire strips away from the particle's own, and at a seam of the read-out a crossing fires strips
+    Delta electrons may fire strips away from the particle's own, and at a seam of the readout a crossing fires strips
     of two sheets. The cluster with the strip at the crossing's mid-gap point is selected, otherwise the nearest one.
 
     Parameters

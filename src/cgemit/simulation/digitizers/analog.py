@@ -1,4 +1,4 @@
-"""Analog read-outs: ionization electrons drift and multiply, a chip measures charge and time of each strip."""
+"""Analog readouts: ionization electrons drift and multiply, a chip measures charge and time of each strip."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cgemit.tables import Table
 
 
 class AnalogDigitizer(Digitizer):
-    """Follows every ionization electron to the strips, and filters their currents as the chip of the read-out does."""
+    """Follows every ionization electron to the strips, and filters their currents as the chip of the readout does."""
 
     readout: AnalogReadout
 

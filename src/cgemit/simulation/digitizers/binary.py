@@ -1,4 +1,4 @@
-"""Binary read-out: touched strips fire (arXiv:1504.02570)."""
+"""Binary readout: touched strips fire (arXiv:1504.02570)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Interface of a digitizer: the half of a read-out that makes digis of true crossings."""
+"""Interface of a digitizer: the half of a readout that makes digis of true crossings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cgemit.tables import Table
 
 @dataclass(frozen=True)
 class Digitizer(ABC):
-    """Makes the digis of a read-out; `cgemit.simulation.digitize.DIGITIZERS` finds it by the read-out's class.
+    """Makes the digis of a readout; `cgemit.simulation.digitize.DIGITIZERS` finds it by the readout's class.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Gaussian read-out: positions smeared with given errors, so that the exact result of the later stages is known."""
+"""Gaussian readout: positions smeared with given errors, so that the exact result of the later stages is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Analog read-out without drift physics: charge profiles of the projected path (second model of arXiv:1504.02570)."""
+"""Analog readout without drift physics: charge profiles of the projected path (second model of arXiv:1504.02570)."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class Goals:
             # The first column is the value, the others leave out one group each.
             mean = np.exp(np.log(all_points[rows]).mean(axis=0))
             if not np.isfinite(mean).all():
-                raise ValueError(f"{goal.header}: got no covariance, expected momenta that reach the read-out")
+                raise ValueError(f"{goal.header}: got no covariance, expected momenta that reach the readout")
             values[goal.header], replicas[goal.header] = float(mean[0]), [float(one) for one in mean[1:]]
             errors[goal.header] = jackknife(mean[1:])
         return {"values": values, "errors": errors, "replicas": replicas}

@@ -293,10 +293,10 @@ def _readout(sample: Sample) -> str:
 
 
 def _other_readout(name: str, sample: Sample, value: float, error: float) -> Row:
-    """Return the row of a number of clusters whose read-out differs from the paper's."""
+    """Return the row of a number of clusters whose readout differs from the paper's."""
     paper = paper_values()[name].value
     text = "" if paper is None else f"{deviation(value, error, paper).capitalize()}. "
-    note = f"{text}Read-out {_readout(sample)}; the paper's clusters are binary. docs/methods/readout.md says more."
+    note = f"{text}Readout {_readout(sample)}; the paper's clusters are binary. docs/methods/readout.md says more."
     return _row(name, sample, value, error, note)
 
 
@@ -337,7 +337,7 @@ def explain_x_window(window: float, outside: int, n: int, number: int, readout: 
     """Explain the RMS of the X residual in one window, the `number`-th of `X_WINDOWS`."""
     where = f"{outside:,} of {n:,} residuals are outside" if np.isfinite(window) else "A few clusters decide it"
     if readout != "binary":
-        return f"{where}. Read-out {readout}."
+        return f"{where}. Readout {readout}."
     geant4 = ", ".join(f"{run.rms[number]} um ({run.title})" for run in geant4_runs())
     return f"{where}. Geant4: {geant4}."
 

@@ -64,7 +64,7 @@ def reproduce(
     quick : bool
         Fewer events.
     settings : Settings, optional
-        Of all stages, to try another model of matter or another read-out.
+        Of all stages, to try another model of matter or another readout.
     field : str or path, optional
         Another magnetic field than the detectors' own (see `Detector.with_field`).
     finder : "truth", "ckf" or callable

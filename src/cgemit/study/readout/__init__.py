@@ -1,1 +1,1 @@
-"""Studies of analog read-outs: factors of cluster errors, and scans against the incidence."""
+"""Studies of analog readouts: factors of cluster errors, and scans against the incidence."""

@@ -165,7 +165,7 @@ _WITHOUT_FIELD = 0.2  # share of the designs
 
 
 class Design(NamedTuple):
-    """A detector of three CGEM layers and a read-out, drawn at random."""
+    """A detector of three CGEM layers and a readout, drawn at random."""
 
     detector: Detector
     readout: ChargeReadout
@@ -207,7 +207,7 @@ def design(readout: Some, number: int) -> Design:
 
 
 def with_estimator(readout: ChargeReadout, estimator: str) -> ChargeReadout:
-    """Return a read-out whose clusters have another position."""
+    """Return a readout whose clusters have another position."""
     changed: dict[str, Any] = {"estimator": estimator}
     return replace(readout, **changed)
 
@@ -434,11 +434,11 @@ def pulls(
     ----------
     readout : ChargeReadout
     estimator : str or None
-        None: as the read-out says.
+        None: as the readout says.
     of_track : bool
         Whether clusters know the directions of their crossings; then half of the muons are displaced.
     errors : ChipErrors or None
-        None: those of the read-out.
+        None: those of the readout.
     designs, n, seed, threads
         See `fit_errors`.
     """
@@ -483,7 +483,7 @@ def as_toml(name: str, found: ChipErrors) -> str:
     Parameters
     ----------
     name : str
-        Of the read-out.
+        Of the readout.
     found : ChipErrors
     """
     return "\n".join([f"[{name}]", *(f"{key} = {value:.3g}" for key, value in asdict(found).items())]) + "\n"

@@ -1,4 +1,4 @@
-"""Resolution of a read-out in a beam against incidence, fields, gain or threshold; ghosts and formation of clusters."""
+"""Resolution of a readout in a beam against incidence, fields, gain or threshold; ghosts and formation of clusters."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def beam_particles(detector: Detector, particle: str, p: float, angle: float, n:
 
 @dataclass(frozen=True)
 class BeamPoint:
-    """What a read-out measures of a beam, in one view.
+    """What a readout measures of a beam, in one view.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ def beam_views(
     detector: Detector, readout: ChargeReadout, angle: float, *, n: int = 4000, seed: int = 1,
     particle: str = "pi-", p: float = 150.0, threads: int | None = None,
 ) -> tuple[BeamPoint, BeamPoint]:  # fmt: skip
-    """Return what a read-out resolves in X and V at one angle.
+    """Return what a readout resolves in X and V at one angle.
 
     The mean of centroid and line has the weights of their widths in another sample at this angle.
 
@@ -238,12 +238,12 @@ _ABOUT = ("charge_fC", "strips", "efficiency")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BeamScan(Shown):
-    """What a read-out resolves at several values of one quantity.
+    """What a readout resolves at several values of one quantity.
 
     Attributes
     ----------
     title : str
-        Read-out, beam, and what is fixed.
+        Readout, beam, and what is fixed.
     quantity : str
         One of `QUANTITIES`.
     values : (n,) float64
@@ -321,7 +321,7 @@ def scan(
     n: int = 4000, seed: int = 1, particle: str = "pi-", p: float = 150.0, threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> BeamScan:  # fmt: skip
-    """Return what a read-out resolves at several values of one quantity, all else fixed.
+    """Return what a readout resolves at several values of one quantity, all else fixed.
 
     Parameters
     ----------
@@ -358,7 +358,7 @@ def scan(
 def _setting(
     readout: ChargeReadout, quantity: str, value: float, angle: float, bz: float
 ) -> tuple[Detector, ChargeReadout, float]:
-    """Return detector, read-out and angle (deg) of one value."""
+    """Return detector, readout and angle (deg) of one value."""
     if quantity == "angle":
         angle = float(np.round(value, 9))
     layer = {"drift_field": f"{value!r} kV/cm"} if quantity == "drift_field" else {}
@@ -390,7 +390,7 @@ def formation(
 ) -> list[FormationPanel]:
     """Return one track's way to the strips without and with Lorentz angle and diffusion.
 
-    The track and its ionization are simulated, and strips and charges are those of the read-out. Lines of electrons
+    The track and its ionization are simulated, and strips and charges are those of the readout. Lines of electrons
     have the same drift and diffusion, drawn for the picture.
 
     Parameters
@@ -408,7 +408,7 @@ def formation(
     Raises
     ------
     ValueError
-        If the read-out has no drift.
+        If the readout has no drift.
     """
     if not isinstance(readout, AnalogReadout):
         raise ValueError(f"readout: got {readout.name}, expected one of {names_of(AnalogReadout)}")

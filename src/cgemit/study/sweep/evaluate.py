@@ -78,7 +78,7 @@ class Evaluation(SettingsData):
     chunk : int or None
         Variants in one chunk.
     settings : Settings or None
-        Settings of all stages, in a file the table ``[settings]``; "analytic" uses read-out and fit.
+        Settings of all stages, in a file the table ``[settings]``; "analytic" uses readout and fit.
 
     Raises
     ------
@@ -153,7 +153,7 @@ class Evaluation(SettingsData):
 
     @cached_property
     def digitize_and_fit(self) -> tuple[DigitizeSettings, FitSettings]:
-        """Return the read-out and what the fit assumes."""
+        """Return the readout and what the fit assumes."""
         settings = self.settings or Settings()
         return settings.digitize, fit_settings(settings)
 

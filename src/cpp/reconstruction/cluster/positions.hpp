@@ -1,4 +1,4 @@
-// Clusters of a read-out without strips. Its digis are positions.
+// Clusters of a readout without strips. Its digis are positions.
 #pragma once
 
 #include <span>

@@ -1,4 +1,4 @@
-// Runs of contiguous fired strips, and the clusters that they become: shared by the read-outs with strips.
+// Runs of contiguous fired strips, and the clusters that they become: shared by the readouts with strips.
 #pragma once
 
 #include <algorithm>

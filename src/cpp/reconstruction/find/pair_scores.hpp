@@ -9,7 +9,7 @@
 namespace cgemit {
 
 // Pairs by the numbers of their hits in the input; 0 for pairs that are not listed, such as those of a binary
-// read-out.
+// readout.
 class PairScores {
  public:
   PairScores() = default;

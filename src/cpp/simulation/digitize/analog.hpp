@@ -1,4 +1,4 @@
-// Analog read-out of the CGEM layers: electrons of ionization drift, multiply and induce currents on the
+// Analog readout of the CGEM layers: electrons of ionization drift, multiply and induce currents on the
 // strips, which a chip turns into charges and times (docs/methods/readout.md).
 #pragma once
 

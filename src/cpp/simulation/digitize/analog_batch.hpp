@@ -1,4 +1,4 @@
-// The analog read-out of all events, for one instruction set (kernels/kernels.hpp).
+// The analog readout of all events, for one instruction set (kernels/kernels.hpp).
 #pragma once
 
 #include <array>

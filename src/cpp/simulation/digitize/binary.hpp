@@ -1,4 +1,4 @@
-// Binary read-out of the CGEM layers (arXiv:1504.02570): makes fired strips of truths.
+// Binary readout of the CGEM layers (arXiv:1504.02570): makes fired strips of truths.
 #pragma once
 
 #include <span>

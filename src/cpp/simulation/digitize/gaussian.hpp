@@ -1,4 +1,4 @@
-// Read-out without strips: positions at mid-gap, smeared with given errors. With it all later stages have an
+// Readout without strips: positions at mid-gap, smeared with given errors. With it all later stages have an
 // exact expectation.
 #pragma once
 

@@ -1,4 +1,4 @@
-// Analog read-out without drift physics, the second model of arXiv:1504.02570: the projected path is a charge
+// Analog readout without drift physics, the second model of arXiv:1504.02570: the projected path is a charge
 // profile of given width, integrated over each strip.
 #pragma once
 

@@ -1,4 +1,4 @@
-// The strips that a straight segment on the unrolled read-out touches: exact geometry, no sampling.
+// The strips that a straight segment on the unrolled readout touches: exact geometry, no sampling.
 #pragma once
 
 #include <algorithm>
@@ -57,7 +57,7 @@ inline void clip(const MeasuringLayer& layer, int sheet, double x, double z, dou
                                                        inside_z(t1)};
 }
 
-// Projects entry and exit point to the read-out, by the layer's Lorentz shift in X and at unchanged z, and
+// Projects entry and exit point to the readout, by the layer's Lorentz shift in X and at unchanged z, and
 // unrolls the straight line between them, along the shorter direction in phi. Gives pieces on every sheet
 // that it touches (two at a seam or a sheet's edge).
 inline Pieces unroll(const MeasuringLayer& layer, const Point& entry, const Point& exit) {

@@ -1,4 +1,4 @@
-// Read-out of the drift chamber: measured drift distances of the cells that tracks cross.
+// Readout of the drift chamber: measured drift distances of the cells that tracks cross.
 #pragma once
 
 #include <cstdint>

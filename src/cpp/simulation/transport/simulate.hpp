@@ -15,7 +15,7 @@ namespace cgemit {
 
 enum class Fluctuations { full, gaussian, off };
 
-inline constexpr int most_half_turns = 15;  // the read-out knows 16 crossings of a layer apart
+inline constexpr int most_half_turns = 15;  // the readout knows 16 crossings of a layer apart
 
 struct SimulateSettings {
   Fluctuations fluctuations;

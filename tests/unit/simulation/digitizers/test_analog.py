@@ -1,4 +1,4 @@
-"""Steps of the analog read-out one by one, charge induced on neighbours, and mistakes."""
+"""Steps of the analog readout one by one, charge induced on neighbours, and mistakes."""
 
 from __future__ import annotations
 

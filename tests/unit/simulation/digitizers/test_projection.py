@@ -1,4 +1,4 @@
-"""Charge profiles integrated over strips, and the command that scans read-outs and fits errors."""
+"""Charge profiles integrated over strips, and the command that scans readouts and fits errors."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_chain_with_its_errors() -> None:
     result = run(DESIGN, Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93)), 400, seed=6, readout="analog-projection")
     assert (result.tracks["status"] == 0).mean() > 0.99
     x = result.clusters["err_x"][result.clusters["view"] == 0]
-    assert np.median(x) < 0.1 < 0.14  # better than the binary read-out's 0.139 mm
+    assert np.median(x) < 0.1 < 0.14  # better than the binary readout's 0.139 mm
     sample = measurements(DESIGN, result.clusters, result.truths, lorentz=False)
     assert abs(np.median(sample.residual)) < 0.01
     pull = sample.residual / sample.error

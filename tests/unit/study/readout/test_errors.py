@@ -181,7 +181,7 @@ def test_a_fit_finds_the_factors_of_the_package() -> None:
 
 
 def test_a_file_of_factors() -> None:
-    """It has what has been found, to three digits, by the name of the read-out."""
+    """It has what has been found, to three digits, by the name of the readout."""
     found = dataclasses.replace(chip_errors("apv25"), diffusion=0.123456)
     table = tomllib.loads(as_toml("mine", found))["mine"]
     assert ChipErrors(**table) == dataclasses.replace(found, diffusion=0.123)

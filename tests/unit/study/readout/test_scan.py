@@ -1,4 +1,4 @@
-"""Scans of a read-out, wrong pairs, and the picture of the signal's formation."""
+"""Scans of a readout, wrong pairs, and the picture of the signal's formation."""
 
 import csv
 import sys
