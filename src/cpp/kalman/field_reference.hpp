@@ -64,7 +64,6 @@ class FieldReference {
     if (span_) {
       met = span_->approach(wire, who & on_span_);
       passage_ = span_->passage();
-      if (any(met)) result = distance_to_wire(passage_.at, wire);
     }
     if (const mask_of<T> others = who & !met; any(others)) {
       const FieldHelixPoint<T> here = point_;
@@ -72,12 +71,12 @@ class FieldReference {
       ApproachOf<T> other;
       const mask_of<T> moved = motion_.approach(point_, wire, other, others);
       left_ = left_ | motion_.left();
-      result = select(others, other, result);
       passage_ = select(others, Passage<T>{point_, rows()}, passage_);
       met = met | moved;
       point_ = select(at_cylinder_, here, point_);
       by_origin_ = select(at_cylinder_, by_here, by_origin_);
     }
+    result = distance_to_wire(passage_.at, wire);
     return met;
   }
   // Where the last wire was passed.
@@ -188,7 +187,7 @@ class FieldReference {
   FieldDerivatives<T> by_origin_;
   std::optional<FieldSpan<T>> span_;                // past the wires before the next cylinder
   mask_of<T> on_span_{false}, at_cylinder_{false};  // lanes that have one; whose span ends at the cylinder
-  Passage<T> passage_;
+  Passage<T> passage_{};
   mask_of<T> left_{false};
 };
 
