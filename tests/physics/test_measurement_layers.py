@@ -161,6 +161,64 @@ def test_barrels_see_missing_matter(name: str, thinner: dict[str, str]) -> None:
     assert found > 1.06 * sigma[1]
 
 
+def singles() -> dict[str, list[dict[str, str]]]:
+    """Return barrels of layers that measure one coordinate each, from inside outward."""
+    across, along = {"sigma_x": "100 um"}, {"sigma_v": "100 um"}
+    tilted = [along | {"stereo": f"{angle} deg"} for angle in (10, -10)]
+    pixels = {"sigma": "10 um"}
+    return {
+        "r phi and z in turn": [across, along] * 5,
+        "r phi and stereo in turn": [across, tilted[0], across, tilted[1]] * 2 + [across, tilted[0]],
+        "pixels and r phi": [pixels, pixels] + [across] * 4,
+    }
+
+
+def single_barrel(name: str) -> cg.Detector:
+    """Return layers from 60 mm in steps of 40 mm, which cover |cos(theta)| < 0.8."""
+    layers = {
+        f"S{i}": {"radius": f"{60 + 40 * i} mm", "length": f"{3 * (60 + 40 * i)} mm", "material": "Kapton", "x0": 0.003}
+        | measures
+        for i, measures in enumerate(singles()[name])
+    }
+    return cg.load({"name": "single", "field": {"kind": "uniform", "bz": "-1 T"}, "layer": layers})
+
+
+@pytest.mark.parametrize("name", singles())
+@pytest.mark.parametrize(("particle", "p"), [("mu-", 0.2), ("mu+", 0.5), ("mu-", 3.0)])
+def test_layers_of_one_coordinate_are_found(name: str, particle: str, p: float) -> None:
+    n = 400
+    gun = cg.Gun(particle, p=p, cos_theta=(-0.7, 0.7))
+    tracks = cg.run(single_barrel(name), gun, n, 4, settings=QUIET, finder="ckf").tracks
+    assert len(tracks) == pytest.approx(n, abs=0.005 * n)
+    good = tracks[tracks["status"] == 0]
+    pulls = np.quantile([good[f"pull_{key}"] for key in PARAMETERS], (0.1587, 0.8413), axis=1)
+    np.testing.assert_allclose(0.5 * np.diff(pulls, axis=0)[0], 1, atol=0.17)
+
+
+def test_circles_make_the_seeds_of_layers_of_one_coordinate() -> None:
+    settings = cg.Settings(simulate=QUIET.simulate, find=cg.FindSettings(method="segments"))
+    detector = single_barrel("r phi and stereo in turn")
+    assert len(run(detector, 100, 0.5, 0.2, finder="ckf", settings=settings).tracks) == 0
+    assert len(run(detector, 100, 0.5, 0.2, finder="ckf").tracks) == 100
+
+
+@pytest.mark.parametrize(
+    ("detector", "least"),
+    [("epic-like", 0.995), ("r phi and stereo in turn", 0.98), ("pixels and r phi", 0.98)],
+)
+def test_tracks_of_one_event_keep_their_heights(detector: str, least: float) -> None:
+    """Pixels measure points, and stereo layers tell which height belongs to which circle."""
+    gun, n = cg.Gun("mu-", p=0.7, cos_theta=(-0.6, 0.6)), 100
+    layers = single_barrel(detector) if detector in singles() else cg.load(detector)
+    result = cg.run(layers, gun + gun + gun + gun, n, 4, settings=QUIET, finder="ckf")
+    matches = result.matches
+    found = len(np.unique(np.stack([matches["event"], matches["particle"]]), axis=1).T)
+    assert found >= least * 4 * n
+    assert len(result.tracks) <= 4.02 * n
+    for key in ("dr", "dz"):
+        assert np.quantile(np.abs(result.tracks[f"pull_{key}"]), 0.9) < 2.2
+
+
 def test_hits_before_and_behind_a_cgem() -> None:
     result = run(mixed(sigma="10 um"), 500, finder="ckf")
     layers, views = result.clusters["layer"], result.clusters["view"]

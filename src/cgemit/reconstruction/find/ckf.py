@@ -14,7 +14,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
-from cgemit.detector import Detector, compiled, load
+from cgemit.detector import Detector, MeasurementLayer, compiled, load
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.fit import FitSettings
@@ -171,7 +171,7 @@ def find_tracks(
     hits = {name: np.ascontiguousarray(column[order]) for name, column in hits.items()}
     found = _core.find_tracks(
         compiled(detector, gaps=False), event_offsets=offsets, hits=hits, settings=_core_settings(settings),
-        pairs=_pairs(clusters, number),
+        pairs=_pairs(detector, clusters, number, points),
     )  # fmt: skip
     return _tables(found, clusters, view[order], hits["row"], points, settings)
 
@@ -258,13 +258,19 @@ def _merged(clusters: Table, rows: Column, points: Column, size: Column, name: s
     return order[new], number
 
 
-def _pairs(clusters: Table, number: Column) -> dict[str, Column]:
-    """Return the scores of XV clusters with the numbers of their X and V among the measurements, if there are any."""
-    pairs = np.flatnonzero(np.nan_to_num(clusters["score"]) * (clusters["x_cluster"] >= 0))
-    if not len(pairs):
-        return {}
+def _pairs(detector: Detector, clusters: Table, number: Column, points: _Points) -> dict[str, Column]:
+    """Return the scores of XV clusters with the numbers of their X and V among the measurements, if there are any.
+
+    Sensors of `[layer.NAME]` measure points: their pairs are certain, with a score of infinity.
+    """
+    of_points = np.array([isinstance(layer, MeasurementLayer) for layer in detector.layers], bool)
+    certain = of_points[clusters["layer"]]
+    score = np.where(certain, np.inf, np.nan_to_num(clusters["score"]))
+    pairs = np.flatnonzero((score != 0) & (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] >= 0))
+    own = np.flatnonzero(certain[points.row])
     x, v = (number[clusters[name][pairs]] for name in ("x_cluster", "v_cluster"))
-    return {"x": x, "v": v, "score": clusters["score"][pairs]}
+    scores = np.concatenate([score[pairs], np.full(len(own), np.inf)])
+    return {"x": np.append(x, points.x[own]), "v": np.append(v, points.v[own]), "score": scores}
 
 
 def _rejoined(candidate: Column, hit: Column, points: _Points, n: int) -> Column:

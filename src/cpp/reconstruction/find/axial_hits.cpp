@@ -52,9 +52,18 @@ void AxialHits::load(const EventHits& hits) {
     occupancy += hits.free_occupancy(i);
     ++layers;
   }
-  layers_ = layers + static_cast<int>(gaps);
   const double share = layers > 0 ? occupancy / layers : 0;
-  least_ = settings_.least_axial + static_cast<int>(per_occupancy * share);
+  int across = 0;
+  bool single = false;
+  for (const MeasuringLayer& plane : detector_.layers) {
+    across += plane.has_x ? 1 : 0;
+    single = single || plane.has_x != plane.has_v;
+  }
+  layers_ = layers + across;
+  // No segments are made of layers with one coordinate: all that measure across the beam may be few.
+  const int least =
+      single ? std::min(settings_.least_axial, std::max(layers_ - 2, 3)) : settings_.least_axial;
+  least_ = least + static_cast<int>(per_occupancy * share);
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));
   for (std::int32_t id = 0; id < hits.size(); ++id) {
     if (hits.is_taken(id)) continue;

@@ -28,6 +28,7 @@ class EventFinder {
         displaced_(detector, axial_hits_),
         stereo_(detector, settings),
         annealing_(detector, settings),
+        single_(std::ranges::any_of(detector.layers, [](const auto& l) { return l.has_x != l.has_v; })),
         stereo_only_(!detector.wires.empty() &&
                      std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {}
 
@@ -38,7 +39,7 @@ class EventFinder {
     seeds_ = 0;
     limits_ = 0;
     stereo_.start();
-    if (detector_.wires.empty() && detector_.layers.size() == 3) {
+    if (detector_.wires.empty() && detector_.layers.size() == 3 && !single_) {
       if (settings_.segments) from_segments();
       return tracks_;
     }
@@ -151,14 +152,14 @@ class EventFinder {
     ++seeds_;
     FoundTrack track;
     if (!follower_.follow(seed, track) || !is_track(track)) return false;
-    const bool solid = is_likely(track, settings_.min_score) && track.wires >= many_wires &&
-                       track.along >= many_along && track.wires > wires_per_hole * track.holes &&
-                       !track.has_gaps() &&
+    const bool likely = is_likely(track, settings_.min_score);
+    const bool solid = likely && track.wires >= many_wires && track.along >= many_along &&
+                       track.wires > wires_per_hole * track.holes && !track.has_gaps() &&
                        track.chi2 < largest_chi2 * static_cast<double>(track.hits.size());
     if (solid)
       for (const std::int32_t id : track.hits) hits_.take(id);
     tracks_.push_back(std::move(track));
-    return solid;
+    return solid || (single_ && likely);
   }
 
   void from_chamber() {
@@ -241,6 +242,7 @@ class EventFinder {
   std::vector<HitKind> kinds_;
   Competition competition_;
   Annealing annealing_;
+  bool single_;  // whether there are layers of one coordinate, which make no segments
   bool stereo_only_;
   std::vector<FoundTrack> tracks_;
   std::int64_t seeds_ = 0;

@@ -2,27 +2,35 @@
 // particle over two (docs/methods/readout.md).
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <span>
 #include <unordered_map>
+#include <unordered_set>
 
 namespace cgemit {
 
 // Pairs by the numbers of their hits in the input; 0 for pairs that are not listed, such as those of a binary
-// readout.
+// readout. A score of infinity is that of a certain pair, which a sensor measures as one point: its X has no
+// other partners.
 class PairScores {
  public:
+  static constexpr double impossible = -100;
   PairScores() = default;
   PairScores(std::span<const std::int64_t> x, std::span<const std::int64_t> v,
              std::span<const double> scores) {
     scores_.reserve(x.size());
-    for (std::size_t i = 0; i < x.size(); ++i)
-      if (scores[i] != 0) scores_.emplace(key(x[i], v[i]), scores[i]);
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      const bool certain = std::isinf(scores[i]);
+      if (certain) certain_.insert(x[i]);
+      if (scores[i] != 0) scores_.emplace(key(x[i], v[i]), certain ? 0 : scores[i]);
+    }
   }
   double of(std::int64_t x, std::int64_t v) const {
     if (scores_.empty()) return 0;
     const auto found = scores_.find(key(x, v));
-    return found == scores_.end() ? 0 : found->second;
+    if (found != scores_.end()) return found->second;
+    return certain_.contains(x) ? impossible : 0;
   }
 
  private:
@@ -30,6 +38,7 @@ class PairScores {
     return (static_cast<std::uint64_t>(x) << 32) | (static_cast<std::uint64_t>(v) & 0xFFFFFFFFU);
   }
   std::unordered_map<std::uint64_t, double> scores_;
+  std::unordered_set<std::int64_t> certain_;
 };
 
 }  // namespace cgemit

@@ -67,7 +67,8 @@ void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
     if (hits[id].channel != hits[point.id].channel || (!all_ && hits.is_taken(id))) continue;
     const double z = crossing_z(plane, hits[point.id].value, hits[id].value);
-    if (std::abs(z) < plane.half_length + 5) out.push_back({z, hits.pair_score(point.id, id), id});
+    const double score = hits.pair_score(point.id, id);
+    if (std::abs(z) < plane.half_length + 5 && score > PairScores::impossible) out.push_back({z, score, id});
   }
 }
 

@@ -72,8 +72,28 @@ void StereoSearch::strips(const FoundCircle& circle, const EventHits& hits) {
     double s = 0;
     if (!step_to_cylinder(at, plane.r_mid(), s)) continue;
     for (std::int32_t v = hits.first(layer, View::v); v < hits.last(layer, View::v); ++v) {
-      if (hits[v].channel != hits[x].channel) continue;
+      if (hits[v].channel != hits[x].channel || !hits.may_pair(x, v)) continue;
       const double z = crossing_z(plane, hits[x].value, hits[v].value);
+      if (std::abs(z) > plane.half_length + 5) continue;
+      heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32)});
+    }
+  }
+}
+
+// In layers that measure V alone, X is that of the circle.
+void StereoSearch::strips_alone(const FoundCircle& circle, const EventHits& hits) {
+  const double ux = std::cos(circle.psi), uy = std::sin(circle.psi);
+  const HelixPoint start{circle.d * uy, -circle.d * ux, 0, ux, uy, 0, circle.w};
+  for (std::size_t layer = 0; layer < detector_.layers.size(); ++layer) {
+    const MeasuringLayer& plane = detector_.layers[layer];
+    HelixPoint at = start;
+    double s = 0;
+    if (plane.has_x || !plane.has_v || !step_to_cylinder(at, plane.r_mid(), s)) continue;
+    const double phi = std::atan2(at.y, at.x);
+    for (std::int32_t v = hits.first(layer, View::v); v < hits.last(layer, View::v); ++v) {
+      const double x = local_x(plane, hits[v].channel, phi);
+      if (hits.is_taken(v) || x > plane.sheet_width()) continue;
+      const double z = crossing_z(plane, x, hits[v].value);
       if (std::abs(z) > plane.half_length + 5) continue;
       heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32)});
     }
@@ -85,6 +105,7 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
   heights_.clear();
   lines_.clear();
   strips(circle, hits);
+  strips_alone(circle, hits);
   wires(circle, hits);
   cut_ = cut_ || heights_.size() > most_heights;
   if (heights_.size() > most_heights) heights_.resize(most_heights);

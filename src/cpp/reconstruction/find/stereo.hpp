@@ -37,6 +37,7 @@ class StereoSearch {
 
   void wires(const FoundCircle& circle, const EventHits& hits);
   void strips(const FoundCircle& circle, const EventHits& hits);
+  void strips_alone(const FoundCircle& circle, const EventHits& hits);
   std::optional<FoundLine> line(double z0, double tanl) const;
 
   const Detector& detector_;
