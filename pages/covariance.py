@@ -65,7 +65,7 @@ class Ratio:
 
 Point = tuple[str, str, str, float, float]
 #: With CGEM layers or a chamber alone; tests/physics/test_measurement_layers.py has silicon.
-SILICON = ("besiii-pixel", "cepc-like", "epic-like", "idea-like")
+SILICON = ("besiii-pixel", "cepc-like", "clas12-like", "epic-like", "idea-like")
 DETECTORS = tuple(name for name in cg.detectors() if name not in SILICON)
 
 

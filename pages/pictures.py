@@ -128,7 +128,7 @@ def designs(found: Found) -> Figure:
 
 def presets(found: Found) -> Figure:
     """Draw one half of six presets along the beam."""
-    names = ("besiii-cgem-design", "besiii-pixel", "kloe2-like", "epic-like", "idea-like", "cepc-like")
+    names = ("besiii-pixel", "clas12-like", "kloe2-like", "epic-like", "idea-like", "cepc-like")
     figure, axes = plt.subplots(3, 2, figsize=(11.6, 12.0), dpi=75)
     for plot, name in zip(axes.flat, names, strict=True):
         draw_rz(name, plot)

@@ -119,6 +119,7 @@ def test_pixels_with_a_large_chamber(cos_theta: float, p: float) -> None:
 BARRELS = {
     "besiii-pixel": ((0.3, 1.0, 1.5), (0.0, 0.4, -0.7)),
     "cepc-like": ((1.0, 5.0, 50.0), (0.0, 0.4, -0.7)),
+    "clas12-like": ((0.3, 0.6, 1.0), (0.0, 0.3, -0.3)),
     "epic-like": ((0.5, 2.0, 10.0), (0.0, 0.4, -0.6)),
 }
 
@@ -150,6 +151,7 @@ def test_barrels_of_other_experiments(name: str, p: float, cos_theta: float) -> 
     [
         ("besiii-pixel", {"layer.PIX.x0": "x0.5"}),
         ("cepc-like", {"layer.*.thickness": "x0.5"}),
+        ("clas12-like", {"layer.S*.thickness": "x0.5"}),
         ("epic-like", {"beam_pipe.beryllium.r_out": "31.4 mm"}),
     ],
 )

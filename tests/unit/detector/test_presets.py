@@ -28,7 +28,7 @@ def rows(name: str) -> list[dict[str, str]]:
 
 
 def test_names_and_descriptions() -> None:
-    others = ("besiii-pixel", "cepc-like", "epic-like", "idea-like", "kloe2-like", "stcf-like")
+    others = ("besiii-pixel", "cepc-like", "clas12-like", "epic-like", "idea-like", "kloe2-like", "stcf-like")
     assert tuple(detectors()) == (*NAMES, *others)
     for name, description in detectors().items():
         assert len(description) > 20
@@ -297,6 +297,16 @@ def test_a_barrel_of_silicon_and_a_chamber_in_3_tesla() -> None:
     assert layers[-1].r_end < detector.walls["outer"].r_in
     pipe = detector.beam_pipe[0]
     assert (pipe.r_out - pipe.r_in) / pipe.material.x0 == pytest.approx(0.14 / 93.7, rel=2e-3)
+
+
+def test_a_barrel_of_layers_with_one_coordinate() -> None:
+    """Strips around the beam in layers 1, 4 and 6 of Micromegas, along it in 2, 3 and 5; pairs of silicon."""
+    detector = load("clas12-like")
+    views = {layer.label: layer.views for layer in detector.layers}
+    assert [label for label in views if views[label] == ("V",)] == ["S2", "S4", "S6", "M1", "M4", "M6"]
+    assert [label for label in views if views[label] == ("X",)] == ["S1", "S3", "S5", "M2", "M3", "M5"]
+    assert [layer.radius for layer in detector.layer][6:] == [145, 161, 177, 193, 209, 225]
+    assert detector.layer["M2"].errors[0] == pytest.approx(0.528 / math.sqrt(12))
 
 
 def test_a_barrel_of_pixels_and_micropattern_detectors() -> None:
