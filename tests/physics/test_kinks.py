@@ -147,10 +147,12 @@ def test_states_are_those_of_the_fit(field: str) -> None:
     states, tracks = result.states, result.tracks
     origin = states["surface"] == 0
     sigma = np.sqrt(np.diagonal(tracks["cov"], axis1=1, axis2=2))
+    # In a map the fit passes wires on spans, where the states stop at each of them.
+    limit = 1e-4 if field == "uniform" else 2e-3
     for i, name in enumerate(PARAMETERS):
         away = states[name][origin] - tracks[name]
         np.testing.assert_allclose(np.remainder(away + np.pi, 2 * np.pi) - np.pi if name == "phi0" else away,
-                                   0, atol=1e-4 * sigma[:, i].min())  # fmt: skip
+                                   0, atol=limit * sigma[:, i].min())  # fmt: skip
     pull = states["pull"][~origin]
     assert np.isfinite(pull).mean() > 0.99
     assert np.nanstd(pull) == pytest.approx(1, abs=0.05)

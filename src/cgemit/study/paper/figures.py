@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -37,12 +38,17 @@ _PARTS = {"single strip": (COLORS["single"], "one strip"), "several strips": (CO
 
 def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | None = None) -> None:
     """Write all figures as PNG and PDF, and the tables behind them and all momentum scans as CSV."""
-    with _pool(study) as pool:
-        names = {pool.submit(_write_figure, key, folder / figure.name): figure.name for key, figure in FIGURES.items()}
-        for number, done in enumerate(as_completed(names), 1):
+    if progress:
+        progress(0.0, "drawing figures")
+    pool = _pool(study)
+    try:
+        figures = [pool.submit(_write_figure, key, folder / figure.name) for key, figure in FIGURES.items()]
+        for number, done in enumerate(as_completed(figures), 1):
             done.result()
             if progress:
-                progress(number / len(FIGURES), f"drew {names[done]}")
+                progress(number / len(FIGURES), "drawing figures")
+    finally:
+        pool.shutdown(cancel_futures=True)
     write_csv(folder / "momentum_scan.csv", scan_columns([s for scan in study.scans.values() for s in scan]))
     if progress:
         progress(1.0, "writing")
@@ -54,7 +60,7 @@ def _pool(study: Reproduction) -> Executor:
     others = [thread for thread in threading.enumerate() if not isinstance(thread, TMonitor)]  # it only sleeps
     if sys.platform != "linux" or workers == 1 or len(others) > 1:
         return ThreadPoolExecutor(1, initializer=_receive, initargs=(study,))
-    return ProcessPoolExecutor(workers, get_context("fork"), _receive, (study,))
+    return ProcessPoolExecutor(workers, get_context("fork"), _receive_alone, (study,))
 
 
 _received: dict[str, Callable[[Path], Picture]] = {}
@@ -62,6 +68,11 @@ _received: dict[str, Callable[[Path], Picture]] = {}
 
 def _receive(study: Reproduction) -> None:
     _received.update(_makers(study))
+
+
+def _receive_alone(study: Reproduction) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the process that waits
+    _receive(study)
 
 
 def _write_figure(key: str, path: Path) -> None:
