@@ -14,13 +14,16 @@ from cgemit.chain.settings import BY_STAGE
 from cgemit.cli.main import COMMANDS, main
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = [*sorted((DOCS / "how-to").glob("*.md")), DOCS / "command_line.md"]
-#: Pages with Python that runs as it stands.
+HOW_TO = sorted((DOCS / "how-to").glob("*.md"))
+#: Pages whose Python runs as it stands; their other blocks are excerpts.
 METHODS = [
     page
-    for page in sorted([*DOCS.glob("*.md"), *(DOCS / "methods").glob("*.md")])
-    if page.name not in ("own_hits.md",) and "```python" in page.read_text(encoding="utf-8")
+    for page in sorted([*DOCS.glob("*.md"), *(DOCS / "methods").glob("*.md"), *HOW_TO])
+    if (page.parent != DOCS / "how-to" or page.stem in ("sweeps", "optimize"))
+    and "```python" in page.read_text(encoding="utf-8")
 ]
+#: Pages of which every block runs, in order. `own_hits` runs in test_given_hits.py.
+PAGES = [*(page for page in HOW_TO if page not in METHODS and page.stem != "own_hits"), DOCS / "command_line.md"]
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -31,7 +34,7 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 def test_there_are_how_to_pages() -> None:
     names = {"own_detector", "design_study", "own_generator", "real_events", "many_cores"}
     assert names <= {path.stem for path in PAGES}
-    assert (DOCS / "own_hits.md").exists()
+    assert {"own_hits", "sweeps", "optimize"} <= {path.stem for path in HOW_TO}
 
 
 def test_every_command_has_its_output() -> None:

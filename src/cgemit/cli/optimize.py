@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION = """\
-Find the best variants of a detector, as a plan in TOML says (docs/optimize.md): the best one of one objective, or the
+Find the best variants of a detector, as a plan in TOML says (docs/how-to/optimize.md): the best one of one objective, or the
 Pareto front of several. Writes optimize.csv, one row for each design, summary.json, optimum.toml and pictures. The same
 command continues after an interruption."""
 

@@ -39,7 +39,7 @@ def workers(arguments: argparse.Namespace, stack: ExitStack) -> Executor | int |
 
 DESCRIPTION = """\
 Evaluate variants of a detector: a grid, a sample or a list of changes of its file, as a plan in TOML says
-(docs/sweeps.md). Writes sweep.csv, one row for each variant, momentum and angle, a picture, and each part of the
+(docs/how-to/sweeps.md). Writes sweep.csv, one row for each variant, momentum and angle, a picture, and each part of the
 results as soon as it is complete: the same command continues after an interruption."""
 
 EXAMPLES = """\

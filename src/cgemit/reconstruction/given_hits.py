@@ -1,4 +1,4 @@
-"""Hits of other programs: columns of any origin become tables, and are fitted (docs/own_hits.md)."""
+"""Hits of other programs: columns of any origin become tables, and are fitted (docs/how-to/own_hits.md)."""
 
 from __future__ import annotations
 

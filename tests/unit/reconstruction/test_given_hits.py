@@ -13,7 +13,7 @@ from cgemit.detector.parts import crossing_z
 from cgemit.reconstruction.fit import PARAMETERS
 from cgemit.reconstruction.given_hits import RowProblem
 
-PAGE = Path(__file__).parents[3] / "docs" / "own_hits.md"
+PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "own_hits.md"
 DETECTOR = cg.load("besiii-cgem-design")
 FAR = np.array([17, 4, 900_000_000_001, 5, 99])  # numbers of events, in no order
 STRIPS = ("event", "layer", "sheet", "view", "first", "last")

@@ -215,7 +215,7 @@ def test_measured_hits_stay_as_they_are(finder):
 
 
 def test_hits_of_other_programs_as_in_the_chain():
-    """What docs/own_hits.md shows gives the same tracks as a run."""
+    """What docs/how-to/own_hits.md shows gives the same tracks as a run."""
     whole = run(finder="ckf")
     wires = {name: whole.wire_hits[name] for name in ("event", "layer", "wire", "drift", "drift_time", "sigma")}
     found = cg.fit_hits(IDC, None, wires, candidates=cg.find_tracks, refine=cg.RefineSettings(drift_times="raw"))

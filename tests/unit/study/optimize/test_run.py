@@ -471,7 +471,7 @@ def test_the_command_line_writes_what_python_returns(tmp_path: Path, capsys: pyt
 
 def test_the_plans_of_the_documentation_run(tmp_path: Path) -> None:
     plans = Path(__file__).resolve().parents[4] / "docs" / "plans"
-    page = (plans.parent / "optimize.md").read_text()
+    page = (plans.parent / "how-to" / "optimize.md").read_text()
     keys = [*KEYS, *(one.name for cls in (Evaluation, Search, Background) for one in dataclasses.fields(cls))]
     unsaid = [key for key in keys if f"`{key}`" not in page and f"[{key}" not in page]
     assert set(unsaid) <= {"quantities", "chunk"}  # which an optimization sets itself
