@@ -25,6 +25,8 @@ def test_tracks_are_found_from_the_cgem_alone() -> None:
     """Segments of the CGEM lead to the wires; circles in the chamber need axial wires, which it has not."""
     muons = cg.Gun("mu-", p=(0.2, 1.0), cos_theta=(-0.86, 0.86))
     result = cg.run(NAME, muons, n=300, seed=11, settings=NO_DECAYS, until="cluster")
+    tables = cg.find_tracks(result.detector, result.clusters, result.wire_hits)
+    assert not tables["searches"]["limits"].any()  # that there are no circles to search is not a limit
     finding = found(result)
     assert finding.findable.all()
     rates = finding.rates()

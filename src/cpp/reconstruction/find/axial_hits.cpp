@@ -64,6 +64,7 @@ void AxialHits::load(const EventHits& hits) {
   const int least =
       single ? std::min(settings_.least_axial, std::max(layers_ - 2, 3)) : settings_.least_axial;
   least_ = least + static_cast<int>(per_occupancy * share);
+  too_many_ = least <= layers_ && layers_ < least_;
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));
   for (std::int32_t id = 0; id < hits.size(); ++id) {
     if (hits.is_taken(id)) continue;

@@ -38,8 +38,9 @@ class AxialHits {
   // Layers that a circle needs: more where many cells fire by chance. A slow particle turns back after a few,
   // with several cells in each.
   int least(double w) const { return std::abs(w) > slow_w_ ? least_slow_ : least_; }
-  // Whether so many cells fire by chance that a circle needs more layers than there are.
-  bool are_too_many() const { return least_ > layers_; }
+  // Whether so many cells fire by chance that a circle needs more layers than there are. Where there are too
+  // few even without chance, as in chambers without axial wires, nothing is left out.
+  bool are_too_many() const { return too_many_; }
   // 1/mm, of the smallest transverse momentum.
   double largest_w() const { return largest_w_; }
 
@@ -57,6 +58,7 @@ class AxialHits {
   std::vector<AxialPoint> points_;
   double slow_w_;
   int least_ = 0, least_slow_ = 0, layers_ = 0;
+  bool too_many_ = false;
 };
 
 }  // namespace cgemit
