@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 VOID = {"meta", "img", "input", "br"}
 
 
-IN_A_LINE = {"a", "b", "br", "code", "img", "input", "label"}
+IN_A_LINE = {"a", "b", "br", "code", "i", "img", "input", "label", "sub"}
 
 
 class Outline(HTMLParser):

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION = """\
-Find the best variants of a detector, as a plan in TOML says (docs/how-to/optimize.md): the best one of one objective, or the
-Pareto front of several. Writes optimize.csv, one row for each design, summary.json, optimum.toml and pictures. The same
-command continues after an interruption."""
+Find the best variants of a detector, as a plan in TOML says (docs/how-to/optimize.md): the best one of one objective,
+or the Pareto front of several. Writes optimize.csv, one row for each design, summary.json, optimum.toml and pictures.
+The same command continues after an interruption."""
 
 EXAMPLES = """\
 examples:

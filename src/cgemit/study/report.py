@@ -125,7 +125,8 @@ class Section:
 def html_report(title: str, lead: str, sections: Sequence[Section], first: Sequence[Part] = ()) -> str:
     """Return a whole HTML page that needs no other file and no network.
 
-    In its text, arXiv numbers and files beside the page become links, "um" becomes "µm".
+    In its text, arXiv numbers and files beside the page become links, "um" becomes "µm", and d_ρ and d_z are set as
+    symbols.
 
     Parameters
     ----------
@@ -164,17 +165,18 @@ def _contents(sections: Sequence[Section]) -> str:
 
 
 _LINKS = re.compile(r"arXiv:(?P<arxiv>\d{4}\.\d{5})|\b(?P<file>(?:summary|run)\.json)\b")
+_SYMBOLS = re.compile(r"\bd_([ρz])\b")
 
 
 def _text(text: str) -> str:
-    """Return a text as HTML, with links and one spelling of the micrometre."""
+    """Return a text as HTML, with links, one spelling of the micrometre, and d_ρ and d_z as symbols."""
 
     def link(found: re.Match[str]) -> str:
         places = {"arxiv": "https://arxiv.org/abs/{}", "file": "{}"}
         kind = found.lastgroup or "file"
         return f'<a href="{places[kind].format(found[kind])}">{found[0]}</a>'
 
-    return _LINKS.sub(link, escape(shown(text)))
+    return _SYMBOLS.sub(r"<i>d</i><sub>\1</sub>", _LINKS.sub(link, escape(shown(text))))
 
 
 def _html(part: Part) -> str:
@@ -199,7 +201,7 @@ def _figure(image: Image) -> str:
         f'<img src="data:image/png;base64,{data}" alt="{title}" title="Click for full size"></label>'
     )
     files = ", ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in image.files)
-    caption = f"<b>{title}.</b> {_text(image.caption)}" + (f"<br>Files: {files}" if files else "")
+    caption = f"<b>{_text(image.title)}.</b> {_text(image.caption)}" + (f"<br>Files: {files}" if files else "")
     return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
 
 

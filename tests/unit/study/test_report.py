@@ -43,6 +43,16 @@ def test_text_gets_links_contents_and_one_spelling_of_micrometres(tmp_path):
     assert parsed.tags.count("input") == 1
 
 
+def test_symbols_are_set_in_text_and_not_in_names_of_files(tmp_path):
+    for name in ("d_z.png", "d_z.csv", "figure5_d_rho_d_z.pdf"):
+        (tmp_path / name).write_bytes(PNG)
+    picture = Image(tmp_path / "d_z.png", "Figure: d_ρ", "caption", ["d_z.csv", "figure5_d_rho_d_z.pdf"])
+    page = html_report("t", "σ(d_z) <", [Section("s", [picture])])
+    assert "σ(<i>d</i><sub>z</sub>) &lt;" in page
+    assert "<b>Figure: <i>d</i><sub>ρ</sub>.</b>" in page
+    assert [link for link in outline(page, tmp_path).values("href") if not link.startswith("#")] == picture.files
+
+
 def test_missing_picture_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         html_report("t", "l", [Section("s", [Image(tmp_path / "none.png", "t", "c")])])
