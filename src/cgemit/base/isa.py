@@ -1,4 +1,4 @@
-"""Choice of the instruction set of the kernels.
+"""Choice of the instruction set of the kernels, and the cores of a process.
 
 The fastest that the processor has is chosen when it is first needed; the environment variable ``CGEMIT_ISA`` names
 another: ``scalar`` (one track at a time, the reference), ``baseline`` (what every processor of its kind has), ``v3``
@@ -32,6 +32,17 @@ def available() -> tuple[str, ...]:
     'scalar'
     """
     return tuple(name for name in NAMES if name == "scalar" or (_library(name).exists() and _core.processor_runs(name)))
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use, which a batch system or `taskset` can limit.
+
+    Examples
+    --------
+    >>> cg.isa.cores() >= 1
+    True
+    """
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def name() -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections import Counter, deque
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cgemit.base.isa import cores
 from cgemit.tables import Table
 
 
@@ -21,11 +23,11 @@ class Workers:
     Attributes
     ----------
     threads : int or None
-        Threads of a pool; None: one for each core. Ignored with `executor`.
+        Threads of a pool; None: one for each core that the process may use. Ignored with `executor`.
     executor : concurrent.futures.Executor or None
         Runs the chunks instead of a pool of threads: of processes, Dask, Parsl, MPI.
     chunk : int
-        Events of a chunk.
+        Events of a chunk, at most: a run is divided so that all threads have equally many chunks.
 
     Examples
     --------
@@ -179,6 +181,9 @@ def _gigabytes(size: float) -> str:
     return f"{size / 1e9:,.0f} GB" if size >= 1e10 else f"{size / 1e9:.2g} GB"
 
 
+#: Fewest events of a chunk that is smaller than asked for.
+LEAST_CHUNK = 250
+
 #: From this many chunks on, the first one tells whether all fit into memory before the others begin.
 MANY = 64
 
@@ -226,8 +231,23 @@ def at_a_time(workers: Workers) -> int:
     ----------
     workers : Workers
     """
-    threads = workers.threads or os.cpu_count() or 1
+    threads = workers.threads or cores()
     return int(max(threads, getattr(workers.executor, "_max_workers", threads)))
+
+
+def chunk_for(n_events: int, workers: Workers) -> int:
+    """Return the events of a chunk: at most `workers.chunk`, with equally many chunks for each that run at a time.
+
+    Chunks of fewer than `LEAST_CHUNK` events cost more than an idle thread.
+
+    Parameters
+    ----------
+    n_events : int
+    workers : Workers
+    """
+    rounds = math.ceil(n_events / (workers.chunk * at_a_time(workers)))
+    even = math.ceil(n_events / (max(rounds, 1) * at_a_time(workers)))
+    return min(workers.chunk, max(even, LEAST_CHUNK))
 
 
 def answers(
@@ -243,7 +263,7 @@ def answers(
     With `n_events`, the first chunk tells whether all fit into memory before the others begin. With `pending`, no
     more chunks are begun than the executor needs to stay busy, so that answers do not pile up.
     """
-    pool = workers.executor or ThreadPoolExecutor(workers.threads or os.cpu_count())
+    pool = workers.executor or ThreadPoolExecutor(workers.threads or cores())
     most = 2 * at_a_time(workers) if pending else len(tasks)
     futures: deque[Future[Answer]] = deque()
     try:

@@ -25,6 +25,7 @@ from cgemit.chain.executor import (
     at_a_time,
     check_chunk,
     check_disk,
+    chunk_for,
 )
 from cgemit.chain.match import match
 from cgemit.chain.record import table_meta, write_about
@@ -189,7 +190,7 @@ def run(
     workers = Workers.of(workers)
     out = Output(output) if isinstance(output, str | os.PathLike) else output
     job, n_events = _checked(detector, gun, n, seed, settings, readout, fit_detector, finder, until, keep, out, workers)
-    chunk = workers.chunk
+    chunk = chunk_for(n_events, workers)
     tasks = [(job, first, min(chunk, n_events - first)) for first in range(0, max(n_events, 1), chunk)]
     other = None if job.fit_detector == job.detector else job.fit_detector
     roles = detectors_of(job.detector, other)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.analysis.widths import SECOND_INSIDE
 from cgemit.base.errors import Problems, WrongValueError
+from cgemit.base.isa import cores
 from cgemit.base.validate import check_whole
 from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
@@ -89,7 +89,7 @@ class Tracks:
         starts = range(0, n, step)
         if len(starts) == 1:
             return part(0)
-        with ThreadPoolExecutor(self.threads or os.cpu_count()) as pool:
+        with ThreadPoolExecutor(self.threads or cores()) as pool:
             parts = list(pool.map(part, starts))
         axis = 1 if variants else 0
         return {name: np.concatenate([one[name] for one in parts], axis=axis) for name in parts[0]}

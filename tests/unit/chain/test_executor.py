@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
-from cgemit.chain.executor import Workers
+from cgemit.base import isa
+from cgemit.chain.executor import Workers, at_a_time, chunk_for
 from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
 from cgemit.particles.gun import Gun
@@ -36,3 +39,34 @@ def test_two_threads_on_one_detector(kind: str) -> None:
     for name, table in one.tables.items():
         assert table == two.tables[name], name
     assert np.any(one.tracks["status"] == 0)
+
+
+@pytest.mark.parametrize(
+    ("n", "workers", "size"),
+    [
+        (0, Workers(threads=2), 250),
+        (300, Workers(threads=2), 250),
+        (1000, Workers(threads=2), 500),
+        (5000, Workers(threads=2), 834),
+        (5000, Workers(threads=1), 1000),
+        (20_000, Workers(threads=2), 1000),
+        (5000, Workers(threads=64), 250),
+        (60, Workers(threads=2, chunk=20), 20),
+    ],
+)
+def test_threads_have_equally_many_chunks(n: int, workers: Workers, size: int) -> None:
+    """Unless chunks were as small as asked for already, or smaller than is worth it."""
+    assert chunk_for(n, workers) == size
+    if size > 250:
+        assert -(-n // size) % workers.threads == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="a process of this system uses all cores")
+def test_a_process_has_the_cores_that_it_may_use() -> None:
+    all_of_them = os.sched_getaffinity(0)
+    assert isa.cores() == len(all_of_them)
+    try:
+        os.sched_setaffinity(0, {min(all_of_them)})
+        assert (isa.cores(), at_a_time(Workers())) == (1, 1)
+    finally:
+        os.sched_setaffinity(0, all_of_them)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -21,6 +20,7 @@ from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import MAIN, QUANTITIES
 from cgemit.analysis.resolutions import chi2_probability, resolution_against
 from cgemit.analysis.widths import Resolution
+from cgemit.base.isa import cores
 from cgemit.chain.result import Result
 from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
@@ -42,7 +42,9 @@ def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | No
         progress(0.0, "drawing figures")
     pool = _pool(study)
     try:
-        figures = [pool.submit(_write_figure, key, folder / figure.name) for key, figure in FIGURES.items()]
+        # The event, with most to draw, first: no process then waits for it in the end.
+        keys = sorted(FIGURES, key=lambda key: key != "event")
+        figures = [pool.submit(_write_figure, key, folder / FIGURES[key].name) for key in keys]
         for number, done in enumerate(as_completed(figures), 1):
             done.result()
             if progress:
@@ -56,7 +58,7 @@ def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | No
 
 def _pool(study: Reproduction) -> Executor:
     """Return what draws the figures: copies of this process where it has no other threads, else one thread."""
-    workers = min(study.inputs.threads or os.cpu_count() or 1, len(FIGURES))
+    workers = min(study.inputs.threads or cores(), len(FIGURES))
     others = [thread for thread in threading.enumerate() if not isinstance(thread, TMonitor)]  # it only sleeps
     if sys.platform != "linux" or workers == 1 or len(others) > 1:
         return ThreadPoolExecutor(1, initializer=_receive, initargs=(study,))

@@ -18,6 +18,7 @@ from typing import Any, Literal, Protocol
 
 from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.files import OutputExistsError, check_free, new_file, remove_left
+from cgemit.base.isa import cores
 from cgemit.base.validate import build, is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers
@@ -226,7 +227,7 @@ def pool_of(workers: Workers, tasks: int | None = None) -> Iterator[Executor]:
     if workers.executor is not None:
         yield workers.executor
         return
-    threads = workers.threads or os.cpu_count() or 1
+    threads = workers.threads or cores()
     with ThreadPoolExecutor(threads if tasks is None else max(1, min(tasks, threads))) as pool:
         try:
             yield pool
