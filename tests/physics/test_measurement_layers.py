@@ -121,14 +121,29 @@ BARRELS = {
     "cepc-like": ((1.0, 5.0, 50.0), (0.0, 0.4, -0.7)),
     "clas12-like": ((0.3, 0.6, 1.0), (0.0, 0.3, -0.3)),
     "epic-like": ((0.5, 2.0, 10.0), (0.0, 0.4, -0.6)),
+    "stcf-like": ((0.3, 1.0, 3.0), (0.0, 0.4, -0.8)),
+    "kloe2-like": ((0.2, 0.5, 1.0), (0.0, 0.4, -0.7)),
 }
+#: Errors of binary clusters are not Gaussian: with CGEM layers alone before the chamber, resolutions are not, either.
+GAUSSIAN = ("stcf-like", "kloe2-like")
+#: One track in a thousand is on the wrong side of many wires: half of the central 68 % instead of the RMS.
+CORES = ("kloe2-like",)
+#: The fit reports tracks of `kloe2-like` that lose most of their wires (`hits_left_out`).
+LEAST = {"kloe2-like": 0.997}
+
+
+def central(values: np.ndarray) -> float:
+    """Return half of the interval of the central 68.27 %."""
+    low, high = np.quantile(values, (0.1587, 0.8413))
+    return float(high - low) / 2
 
 
 def barrel_tracks(name: str, p: float, cos_theta: float, n: int = 8000) -> cg.Table:
     """Return found tracks. Angles and vertices spread: hits have every phase in their pixels."""
     gun = cg.Gun("mu-", p=p, cos_theta=(cos_theta - 0.005, cos_theta + 0.005), vertex_sigma=(0, 0, 5))
-    tracks = cg.run(name, gun, n, 4, settings=QUIET, finder="ckf").tracks
-    assert (tracks["status"] == 0).sum() > 0.999 * n
+    readout = "gaussian" if name in GAUSSIAN else None
+    tracks = cg.run(name, gun, n, 4, settings=QUIET, readout=readout, finder="ckf").tracks
+    assert (tracks["status"] == 0).sum() > LEAST.get(name, 0.999) * n
     return tracks[tracks["status"] == 0]
 
 
@@ -139,11 +154,12 @@ def barrel_tracks(name: str, p: float, cos_theta: float, n: int = 8000) -> cg.Ta
 def test_barrels_of_other_experiments(name: str, p: float, cos_theta: float) -> None:
     """Presets with the finder: every track, unit pulls, expected resolutions."""
     tracks = barrel_tracks(name, p, cos_theta)
-    np.testing.assert_allclose([tracks[f"pull_{key}"].std() for key in PARAMETERS], 1, atol=0.03)
-    expected = cg.analytic(name, "mu-", p=p, cos_theta=cos_theta)
-    assert tracks["res_dr"].std() == pytest.approx(1e-3 * float(expected.sigma_dr), rel=0.03)
-    assert tracks["res_dz"].std() == pytest.approx(float(expected.sigma_dz), rel=0.03)
-    assert tracks["res_kappa"].std() == pytest.approx(float(np.sqrt(expected.cov[..., 2, 2])), rel=0.03)
+    width = central if name in CORES else np.std
+    np.testing.assert_allclose([width(tracks[f"pull_{key}"]) for key in PARAMETERS], 1, atol=0.03)
+    expected = cg.analytic(name, "mu-", p=p, cos_theta=cos_theta, readout="gaussian" if name in GAUSSIAN else "binary")
+    assert width(tracks["res_dr"]) == pytest.approx(1e-3 * float(expected.sigma_dr), rel=0.03)
+    assert width(tracks["res_dz"]) == pytest.approx(float(expected.sigma_dz), rel=0.03)
+    assert width(tracks["res_kappa"]) == pytest.approx(float(np.sqrt(expected.cov[..., 2, 2])), rel=0.03)
 
 
 @pytest.mark.parametrize(
