@@ -81,9 +81,7 @@ def _verdict(study: Reproduction) -> str:
         apart = row.value / row.paper - 1
         error = row.error / row.paper
         text = f"{row.title}: {with_error(row.value, row.error)} {row.unit} ({row.paper:g}, {100 * apart:+.0f} %)"
-        (near if abs(apart) <= _NEAR + error else far).append(
-            text.replace("sigma", "σ").replace("rho", "ρ").replace("-", "−")
-        )
+        (near if abs(apart) <= _NEAR + error else far).append(text.replace("-", "−"))
     within = f"Within {100 * _NEAR:.0f} % and a statistical error of the paper's numbers (in brackets): "
     farther = f" Farther away: {'; '.join(far)}. The table says why." if far else ""
     return f"{within}{'; '.join(near) or 'none'}.{farther}"

@@ -407,7 +407,7 @@ def explain_track(parameter: str, widths: Resolution, paper: float) -> str:
         f"{100 * widths.tail:.1f} % of the tracks lie beyond three core widths."
     )
     reasons = {
-        "dr": "d_rho follows matter and the core of the X residual; delta electrons add to its tails.",
+        "dr": "d_ρ follows matter and the core of the X residual; delta electrons add to its tails.",
         "dz": "d_z follows the V measurement of the inner layers and the angular range.",
         "p": "p follows the wires: 130 um, all efficient, without material; the documentation says more.",
     }
