@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -22,7 +23,10 @@ suppress_warnings = ["ref.python"]
 
 html_theme = "furo"
 html_title = f"cgemit {release}"
-html_static_path = ["site/static"]
+# Formulas need no network: MathJax lies with the pages. Its package is not used as an extension, since it does not
+# declare that it is safe for parallel builds.
+html_static_path = ["site/static", f"{find_spec('sphinx-mathjax-offline').submodule_search_locations[0]}/static"]
+mathjax_path = "mathjax/tex-chtml.js"
 html_css_files = ["wide.css"]
 html_extra_path = ["site/index.html"]  # index.html, which leads to docs/index.html
 

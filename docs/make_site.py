@@ -1,5 +1,6 @@
 """Build the documentation's site, warnings as errors: python docs/make_site.py FOLDER (extra [docs])."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,10 @@ def main(folder: str) -> None:
         built = Path(temporary) / "html"
         command = ["-m", "sphinx", "-q", "-E", "-W", "-j", "auto", "-c", "docs", "-d", f"{temporary}/doctrees"]
         subprocess.run([sys.executable, *command, ".", str(built)], cwd=ROOT, check=True)
+        for page in built.rglob("*.html"):  # formulas work without a network; widgets of notebooks do not
+            remote = re.search(r'<script[^>]* src="https?:', page.read_text(encoding="utf-8"))
+            if remote and "notebooks" not in page.parts:
+                sys.exit(f"{page.name}: loads a script from elsewhere")
         for notebook in (Path(temporary) / "jupyter_execute" / "notebooks").glob("*.ipynb"):
             if '"image/png"' not in notebook.read_text(encoding="utf-8"):
                 sys.exit(f"{notebook.stem}: no picture")
