@@ -30,5 +30,5 @@ def test_both_extras_hold_what_notebooks_need() -> None:
         {re.match(r"[\w-]+", one)[0] for one in project["optional-dependencies"][extra]}  # type: ignore[index]
         for extra in ("notebook", "docs")
     )
-    assert notebook - {"jupyterlab"} == docs - {"sphinx", "myst-nb", "furo"}
+    assert notebook - {"jupyterlab"} == docs - {"sphinx", "myst-nb", "furo", "sphinx-mathjax-offline"}
     assert {"ipywidgets", "optuna", "pandas"} <= docs
