@@ -27,6 +27,7 @@ from pages import (
     paper,
     performance,
     pictures,
+    presets,
     readme,
     readout,
     robustness,
@@ -56,7 +57,7 @@ PAGES: dict[str, Page] = {
         pictures.CONVENTIONS,
         readme.PAGE,
         pictures.GALLERY,
-        pictures.PRESETS,
+        presets.PAGE,
     )
 }
 

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 import cgemit as cg
 from cgemit import helix
-from cgemit.draw.detector import draw_rz
 from cgemit.draw.event import helix_points
 from cgemit.particles.table import particles_from
 from pages.page import ROOT, Found, Page
@@ -126,18 +125,7 @@ def designs(found: Found) -> Figure:
     return figure
 
 
-def presets(found: Found) -> Figure:
-    """Draw one half of six presets along the beam."""
-    names = ("besiii-pixel", "clas12-like", "kloe2-like", "epic-like", "idea-like", "cepc-like")
-    figure, axes = plt.subplots(3, 2, figsize=(11.6, 12.0), dpi=75)
-    for plot, name in zip(axes.flat, names, strict=True):
-        draw_rz(name, plot)
-    figure.tight_layout()
-    return figure
-
-
 CONVENTIONS = Page("conventions", "docs/conventions.md", "5 s", pictures={"helix.png": helices, "strips.png": strips})
-PRESETS = Page("presets", "docs/methods/detector.md", "5 s", pictures={"presets.png": presets})
 GALLERY = Page(
     "gallery", "docs/gallery.md", "1 min",
     pictures={"momentum.png": residual, "kshort-mass.png": masses, "design-map.png": designs},

@@ -30,6 +30,7 @@ def design_layers(drift_gap=5.0):
         "dead_seam": np.zeros(3),
         "dead_ends": np.zeros(3),
         "lorentz_shift": np.zeros(3),
+        "slope": np.zeros(3),
         "has_x": np.ones(3, "u1"),
         "has_v": np.ones(3, "u1"),
         "phi_first": np.array([[np.pi, 0.0]] * 3),

@@ -248,6 +248,7 @@ def smear_positions(
     w_values: npt.ArrayLike,
     errors: _Columns,
     seed: int,
+    first_place: int,
 ) -> dict[str, _Array]: ...
 def read_out_analog(
     detector: Detector,

@@ -354,8 +354,8 @@ def design_keys(detector: Contents) -> Iterator[str]:
             for part in getattr(layer, stack):
                 yield f"cgem.{layer.label}.{stack}.{part.label}.thickness"
     for sensor in detector.layer:
-        names = ("radius", "thickness", "sigma_x", "sigma_v", "pitch_x", "pitch_v")
-        used = {"sigma_x": sensor.sigma_x, "sigma_v": sensor.sigma_v}
+        names = ("radius", "thickness", "sigma_x", "sigma_v", "sigma_tan", "pitch_x", "pitch_v")
+        used = {name: getattr(sensor, name) for name in ("sigma_x", "sigma_v", "sigma_tan")}
         used |= {f"pitch_{view}": 0 if used[f"sigma_{view}"] else getattr(sensor, f"pitch_{view}") for view in "xv"}
         yield from (f"layer.{sensor.label}.{name}" for name in names if used.get(name, 1))
     if detector.drift_chamber is not None:

@@ -156,7 +156,7 @@ def _read_out_problems(layer: CgemLayer) -> list[Problem]:
 
 @once
 def _sensor_problems(layer: MeasurementLayer) -> list[Problem]:
-    """Return a sensor that begins inside the beam line, and strips that measure the same coordinate twice."""
+    """Return a sensor that begins inside the beam line, and wrong sizes, angles and errors of its coordinates."""
     path = f"layer.{layer.label}"
     problems = []
     if layer.r_in <= 0:
@@ -168,6 +168,10 @@ def _sensor_problems(layer: MeasurementLayer) -> list[Problem]:
             problems.append(
                 Problem(f"{path}.pitch_{view}", f"{pitch:g} mm", f"at most {most:g} mm, the size of the layer")
             )
+    for view in layer.views:
+        if layer.sigma_tan and not getattr(layer, f"sigma_{view.lower()}"):
+            given = f"{layer.sigma_tan:g} mm and no sigma_{view.lower()}"
+            problems.append(Problem(f"{path}.sigma_tan", given, "a sigma of each coordinate that is measured"))
     if "V" in layer.views and abs(layer.stereo) < 1e-3:
         given = f"{1000 * layer.stereo:g} mrad"
         problems.append(Problem(f"{path}.stereo", given, "at least 1 mrad, either sign: otherwise V is X"))

@@ -514,6 +514,7 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     for view in "XV":
         columns[f"has_{view.lower()}"] = np.array([view in layer.views for layer in layers], dtype=np.uint8)
     columns["lorentz_shift"] = np.array([layer.lorentz_shift or 0.0 for layer in layers], dtype=np.float64)
+    columns["slope"] = np.array([layer.error_slope for layer in layers], dtype=np.float64)
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     # A layer of fewer sheets than others repeats its azimuths: the core reads `sheets` of them.

@@ -170,6 +170,7 @@ def _sensor(layer: MeasurementLayer) -> dict[str, Any]:
         "views": " ".join(layer.views),
         "error_x_um": 1000 * x,
         "error_v_um": 1000 * v,
+        "error_tan_um": 1000 * layer.sigma_tan,
         "pitch_x_um": 1000 * layer.pitch_x,
         "pitch_v_um": 1000 * layer.pitch_v,
         "stereo_deg": math.degrees(layer.stereo),

@@ -373,6 +373,8 @@ class CgemLayer(MeasuringCylinder):
         metadata=key("gains", "gain of each sheet, relative to that of the readout", 0.01, 100.0), default=()
     )
 
+    error_slope: ClassVar[float] = 0.0  # of `MeasurementLayer`; a readout has errors of its own
+
     def __repr__(self) -> str:
         return f"<CGEM layer {self.label}: {self.text()}>"
 
@@ -447,6 +449,8 @@ class MeasurementLayer(MeasuringCylinder):
     of this width; with a pitch alone they are middles of strips, and their error is pitch/sqrt(12). A layer that
     measures nothing is matter only.
 
+    On an inclined track a sigma becomes sqrt(sigma^2 + (sigma_tan t)^2), where t is dX/dr or dV/dr of the track.
+
     Examples
     --------
     >>> silicon = {"radius": "30 mm", "sigma": "5 um", "material": "Si", "thickness": "0.1 mm"}
@@ -466,6 +470,9 @@ class MeasurementLayer(MeasuringCylinder):
     support: tuple[SubLayer, ...] = field(metadata=key("stack", "matter behind the sensor, from inside"), default=())
     sigma_x: float = field(metadata=key("length", "error of X = r phi; 0: see pitch_x", 0.0, 100.0), default=0.0)
     sigma_v: float = field(metadata=key("length", "error of V; 0: see pitch_v", 0.0, 1000.0), default=0.0)
+    sigma_tan: float = field(
+        metadata=key("length", "what a track at 45 degrees adds to a sigma, in quadrature", 0.0, 100.0), default=0.0
+    )
     pitch_x: float = field(metadata=key("length", "pitch of the X strips; 0: none", 0.0, 100.0), default=0.0)
     pitch_v: float = field(metadata=key("length", "pitch of the V strips; 0: none", 0.0, 1000.0), default=0.0)
     stereo: float = field(
@@ -498,7 +505,8 @@ class MeasurementLayer(MeasuringCylinder):
         """Return the layer in one line."""
         errors = dict(zip("XV", self.errors, strict=True))
         names = {"X": "r phi", "V": "z" if self.measures_z else f"V at {math.degrees(self.stereo):+.2f} deg"}
-        measured = ", ".join(f"{names[view]} to {1000 * errors[view]:.4g} um" for view in self.views)
+        inclined = f" + {1000 * self.sigma_tan:.4g} um tan" if self.sigma_tan else ""
+        measured = ", ".join(f"{names[view]} to {1000 * errors[view]:.4g} um{inclined}" for view in self.views)
         x0 = 100 * sum(shell.x0 for shell in self.shells())
         return (
             f"r = {self.radius:g} mm, length {self.length:g} mm, {x0:.3g} % X0 of {self.material.name}, "
@@ -522,6 +530,11 @@ class MeasurementLayer(MeasuringCylinder):
         return tuple(
             sigma or pitch / math.sqrt(12) for sigma, pitch in zip((self.sigma_x, self.sigma_v), pitches, strict=True)
         )  # type: ignore[return-value]
+
+    @property
+    def error_slope(self) -> float:
+        """Growth of errors with the path in the sensor, projected on X or V; added in quadrature."""
+        return self.sigma_tan / self.thickness
 
     @property
     def r_readout(self) -> float:

@@ -100,7 +100,7 @@ std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
   const auto edges = matrix(phi_first, "phi_first", r_readout.size(), width);
   const auto placements = placements_of(columns, n);
   const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends"),
-             lorentz_shift = take<double>(columns, "lorentz_shift");
+             lorentz_shift = take<double>(columns, "lorentz_shift"), slope = take<double>(columns, "slope");
   const auto has_x = take<std::uint8_t>(columns, "has_x"), has_v = take<std::uint8_t>(columns, "has_v");
   std::vector<MeasuringLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
@@ -127,7 +127,8 @@ std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
                  dead_ends.at(i),
                  lorentz_shift.at(i),
                  has_x.at(i) != 0,
-                 has_v.at(i) != 0};
+                 has_v.at(i) != 0,
+                 slope.at(i)};
     std::ranges::copy(edges.subspan(i * static_cast<std::size_t>(width), static_cast<std::size_t>(most)),
                       layers[i].phi_first.begin());
   }
@@ -171,6 +172,7 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("dead_seam", layers[i].dead_seam, 0, far);
     part.within("dead_ends", layers[i].dead_ends, 0, far);
     part.within("lorentz_shift", layers[i].lorentz_shift, -far, far);
+    part.within("slope", layers[i].slope, 0, far);
     part.within("strips_x", layers[i].strips_x, 1, most_strips);
     part.within("strips_v", layers[i].strips_v, 1, most_strips);
     for (const double phi : layers[i].phi_first) part.within("phi_first", phi, -far, far);

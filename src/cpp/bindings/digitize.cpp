@@ -48,12 +48,15 @@ std::vector<PositionErrors> position_errors(const py::dict& table, const Detecto
 }
 
 py::dict smeared(const Detector& detector, const py::dict& table, double gain, const Array<double>& w_values,
-                 const py::dict& errors, std::uint64_t seed) {
+                 const py::dict& errors, std::uint64_t seed, std::uint32_t first_place) {
   Inputs in(table, "event");
   const TruthColumns truths = truth_columns(in);
   const std::vector<PositionErrors> of_layers = position_errors(errors, detector);
-  const GaussianReadout readout{
-      .errors = of_layers, .gain = gain, .w_values = per_layer(w_values, detector), .seed = seed};
+  const GaussianReadout readout{.errors = of_layers,
+                                .gain = gain,
+                                .w_values = per_layer(w_values, detector),
+                                .seed = seed,
+                                .first_place = first_place};
   DigiColumns digis;
   {
     py::gil_scoped_release release;
@@ -123,7 +126,7 @@ void bind_digitize(py::module_& module) {
              py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: binary readout.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
-             py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"),
+             py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"), py::arg("first_place"),
              "Columns of digis from columns of truths: readout without strips.");
   module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),

@@ -256,7 +256,7 @@ class ExpectedHits {
 
   T cluster_error(const Slot<T>& slot) const {
     const auto index = static_cast<std::size_t>(slot.layer);
-    if (given_.has(slot.view, index)) return given_.variance(slot.view, index);
+    if (given_.has(slot.view, index)) return given_error(slot, index);
     const bool is_x = slot.view == View::x;
     const std::size_t views = 2 * detector_.layers.size(), view = 2 * index + (is_x ? 0 : 1);
     const T phase = gathered<T>([&](int i) { return input_.phases[views * sample(i) + view]; });
@@ -266,9 +266,12 @@ class ExpectedHits {
   // The same, averaged over the positions of the strips.
   T mean_error(const Slot<T>& slot) const {
     const auto index = static_cast<std::size_t>(slot.layer);
-    if (given_.has(slot.view, index)) return given_.variance(slot.view, index);
+    if (given_.has(slot.view, index)) return given_error(slot, index);
     const auto [whole, part] = touched(slot.extent, pitch(slot));
     return (1.0 - part) * error_of_size(slot, whole + 1.0) + part * error_of_size(slot, whole + 2.0);
+  }
+  T given_error(const Slot<T>& slot, std::size_t index) const {
+    return given_.variance(slot.view, index) + inclined_variance(detector_.layers[index], slot.extent);
   }
   T error_of_size(const Slot<T>& slot, const T& size) const {
     return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, model_.delta_strips);

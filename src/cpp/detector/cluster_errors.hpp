@@ -10,6 +10,7 @@
 #pragma once
 
 #include "common/lanes/math.hpp"
+#include "detector/detector.hpp"
 
 namespace cgemit {
 
@@ -61,6 +62,13 @@ T cluster_variance(T size, T extent, double pitch, double least_width, double de
   const mask_of<T> can_be = both > 0.0;
   return select(can_be, pitch * pitch * mixture / select(can_be, both, T(1.0)),
                 somewhere * somewhere * (1.0 / 12));
+}
+
+// Variance, mm^2, that the inclination of the path adds to a position measured by a layer whose errors grow
+// with it.
+template <class T>
+T inclined_variance(const MeasuringLayer& layer, const T& extent) {
+  return layer.slope > 0 ? layer.slope * layer.slope * extent * extent : T(0.0);
 }
 
 }  // namespace cgemit

@@ -114,6 +114,7 @@ struct MeasuringLayer {
   double dead_ends = 0;             // mm, length at each end of the layer where nothing is measured
   double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in readouts without drift
   bool has_x = true, has_v = true;  // views that are measured
+  double slope = 0;                 // growth of errors with the projected path, added in quadrature
 
   bool has(bool x) const { return x ? has_x : has_v; }
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }

@@ -574,6 +574,21 @@ def test_mistakes_of_a_measurement_layer_are_listed():
     assert "also radius" in str(found["layer.D"])
     with pytest.raises(DetectorError, match=r"layer\.VTX\.stereo: got 0\.5 mrad, expected at least 1 mrad"):
         with_layer(stereo="0.5 mrad")
+    with pytest.raises(DetectorError, match=r"layer\.VTX\.sigma_tan: got 0\.05 mm and no sigma_v, expected a sigma"):
+        load(
+            {
+                "base": "besiii-cgem-design",
+                "layer": {
+                    "VTX": {
+                        "radius": "50 mm",
+                        "sigma_x": "10 um",
+                        "pitch_v": "1 mm",
+                        "material": "Si",
+                        "sigma_tan": "50 um",
+                    }
+                },
+            }
+        )
     with pytest.raises(DetectorError, match="no overlap with"):
         with_layer(radius="79 mm")
 

@@ -278,12 +278,16 @@ def test_gas_of_the_chamber_without_axial_wires() -> None:
 
 
 def test_pixels_before_the_cgem() -> None:
-    """The rest is the design; the beam pipe ends 6 mm before the layer."""
-    detector, design = load("besiii-pixel"), load("besiii-cgem-design")
-    assert detector.layer["PIX"].errors == (0.005, 0.005)
+    """The rest is the design; the beam pipe is that of `cepc-like`."""
+    detector, design, other = load("besiii-pixel"), load("besiii-cgem-design"), load("cepc-like")
+    layer, (pipe,) = detector.layer["PIX"], detector.beam_pipe
+    assert (layer.errors, layer.radius) == ((0.005, 0.005), 19.0)
+    assert layer.thickness / layer.material.x0 == pytest.approx(0.0009)
     assert [layer.label for layer in detector.layers] == ["PIX", "L1", "L2", "L3"]
-    assert (detector.cgem, detector.beam_pipe) == (design.cgem, design.beam_pipe)
-    assert max(part.r_out for part in detector.beam_pipe) == pytest.approx(33.7)
+    assert (detector.cgem, detector.drift_chamber) == (design.cgem, design.drift_chamber)
+    assert (pipe.r_in, pipe.r_out, pipe.material) == (
+        other.beam_pipe[0].r_in, other.beam_pipe[0].r_out, other.beam_pipe[0].material,
+    )  # fmt: skip
 
 
 def test_a_barrel_of_silicon_and_a_chamber_in_3_tesla() -> None:
@@ -312,9 +316,10 @@ def test_a_barrel_of_layers_with_one_coordinate() -> None:
 def test_a_barrel_of_pixels_and_micropattern_detectors() -> None:
     """Radii and errors of the geometry; FR4 has the radiation length of its elements."""
     detector = load("epic-like")
-    assert [layer.radius for layer in detector.layers] == [38.02, 50.321, 125.221, 265, 420, 567.755, 740]
+    assert [layer.radius for layer in detector.layers] == [38.02, 50.321, 125.221, 265, 420, 567.755, 646, 740]
     pixel = 0.02 / math.sqrt(12)
-    assert [layer.errors[0] for layer in detector.layer] == pytest.approx([pixel] * 5 + [0.15] * 2)
+    errors = [pixel] * 5 + [0.15, 0.1 / math.sqrt(12), 0.15]
+    assert [layer.errors[0] for layer in detector.layer] == pytest.approx(errors)
     sheet = detector.layer["OUTER"].support[2].material
     expected = 0.2468 / 21.82 + 0.2812 / 34.24 + 0.4355 / 42.70 + 0.0365 / 63.04  # cm2/g of the PDG
     assert sheet.x0 == pytest.approx(10 / expected / 1.86, rel=0.01)

@@ -24,7 +24,7 @@ class GaussianDigitizer(Digitizer):
         errors = {"sigma_x": self.readout.sigma_x * one, "sigma_v": self.readout.sigma_v * one}
         digis = _core.smear_positions(
             compiled(detector), dict(truths.columns), gain=self.readout.gain, w_values=w_values(detector),
-            errors=errors | {"efficiency": one, "sigma_time": 0.0 * one}, seed=seed,
+            errors=errors | {"efficiency": one, "sigma_time": 0.0 * one}, seed=seed, first_place=0,
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
@@ -45,6 +45,7 @@ def measured_positions(detector: Detector, truths: Table, seed: int) -> Table:
             found[:, number] = layer.sigma_x, layer.sigma_v, layer.efficiency, layer.sigma_time
     digis = _core.smear_positions(
         compiled(detector), dict(truths.columns), gain=0.0, w_values=w_values(detector), seed=seed,
+        first_place=len(detector.cgem),  # a Gaussian readout sees CGEM layers alone, numbered from 0
         errors=dict(zip(("sigma_x", "sigma_v", "efficiency", "sigma_time"), found.copy(), strict=True)),
     )  # fmt: skip
     return Table("digis", digis, **truths.cover)

@@ -16,6 +16,7 @@ namespace {
 constexpr double sure = 4;        // a hit with a larger likelihood ratio is taken without another branch
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
+constexpr double curved = 0.1;    // mm; a fit linear about a distant reference is off by as much
 constexpr int few_hits = 2, many_hits = 10;
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
@@ -68,6 +69,8 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
     start = track.helix;
     prior = track.covariance;
     for (double& entry : prior.v) entry *= inflation;
+    prior(0, 0) += curved * curved;
+    prior(3, 3) += curved * curved;
     forced = {};
   }
   return std::abs(track.helix.d) <= settings_.max_d && std::abs(track.helix.z0) <= settings_.max_z;

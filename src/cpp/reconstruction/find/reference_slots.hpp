@@ -26,8 +26,8 @@ inline void trace_nearby(const Detector& detector, const Perigee& start, double 
 }
 
 inline double variance_of(const Detector& detector, const FindSettings& settings, const Slot<double>& slot) {
-  if (slot.size <= 0) return slot.noise;
   const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(slot.layer)];
+  if (slot.size <= 0) return slot.noise + inclined_variance(layer, slot.extent);
   const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
   return cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
 }

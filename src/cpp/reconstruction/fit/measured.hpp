@@ -29,7 +29,8 @@ CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const 
         const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
         const T from_track =
             cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
-        slot.variance = select(slot.met & (slot.size > 0.0), from_track, slot.variance);
+        slot.variance = select(slot.met & (slot.size > 0.0), from_track,
+                               slot.variance + inclined_variance(layer, slot.extent));
       }
     }
     slot.residual = select(slot.met, slot.value - slot.predicted, T(0.0));

@@ -5,6 +5,7 @@
 #include <optional>
 #include <utility>
 
+#include "common/angles.hpp"
 #include "common/rng.hpp"
 #include "detector/strip_plane.hpp"
 
@@ -26,6 +27,19 @@ std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, st
   return n;
 }
 
+// Errors of X and V at the inclination of a crossing.
+std::pair<double, double> inclined(const MeasuringLayer& layer, const PositionErrors& errors, int sheet,
+                                   const Point& entry, const Point& exit) {
+  if (layer.slope == 0) return {errors.sigma_x, errors.sigma_v};
+  const double from = local_x(layer, sheet, std::atan2(entry.y, entry.x));
+  // Entry and exit may lie on both sides of the edge of the sheet.
+  const double turn = wrap_angle(std::atan2(exit.y, exit.x) - std::atan2(entry.y, entry.x));
+  const double to = from + layer.r_readout * turn;
+  const double along_v = local_v(layer, to, exit.z) - local_v(layer, from, entry.z);
+  return {std::hypot(errors.sigma_x, layer.slope * (to - from)),
+          std::hypot(errors.sigma_v, layer.slope * along_v)};
+}
+
 std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, std::size_t event_begin,
                           std::size_t row, const GaussianReadout& readout) {
   const auto index = static_cast<std::size_t>(truths.layer[row]);
@@ -38,8 +52,8 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
     if (x >= layer.sheet_width()) continue;
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
                         static_cast<std::uint32_t>(truths.particle[row]));
-    const Block words = stream.block(Purpose::digitization, static_cast<std::uint32_t>(truths.layer[row]),
-                                     occurrence(truths, event_begin, row));
+    const std::uint32_t place = readout.first_place + static_cast<std::uint32_t>(truths.layer[row]);
+    const Block words = stream.block(Purpose::digitization, place, occurrence(truths, event_begin, row));
     if (open_unit(words[2]) > errors.efficiency) return std::nullopt;
     DigiRow common{truths.event[row], truths.layer[row], sheet, 0};
     common.charge = 0.5 * truths.energy[row] * per_energy;
@@ -47,11 +61,13 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
     common.truth = static_cast<std::int64_t>(row);
     common.n_truths = 1;
     Pair pair{common, common};
-    pair.x.position = errors.sigma_x > 0 ? x + errors.sigma_x * normal_quantile(open_unit(words[0]))
+    const auto [sigma_x, sigma_v] =
+        inclined(layer, errors, sheet, truths.entry_point(row), truths.exit_point(row));
+    pair.x.position = errors.sigma_x > 0 ? x + sigma_x * normal_quantile(open_unit(words[0]))
                                          : x_of_strips(layer, std::floor(strips_of_x(layer, x)) + 0.5);
     pair.v.view = 1;
     const double v = local_v(layer, x, truths.z[row]);
-    pair.v.position = errors.sigma_v > 0 ? v + errors.sigma_v * normal_quantile(open_unit(words[1]))
+    pair.v.position = errors.sigma_v > 0 ? v + sigma_v * normal_quantile(open_unit(words[1]))
                                          : v_of_strips(layer, std::floor(strips_of_v(layer, v)) + 0.5);
     return pair;
   }

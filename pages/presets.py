@@ -1,0 +1,143 @@
+"""docs/methods/detector.md: expected resolutions of the presets, and beside them what others publish."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+import cgemit as cg
+from cgemit.draw.detector import draw_rz
+from pages.page import Found, Numbers, Page, table
+
+PRESETS = (
+    *("besiii-cgem-design", "besiii-pixel", "clas12-like", "stcf-like", "kloe2-like"),
+    *("epic-like", "idea-like", "cepc-like"),
+)
+DRAWN = ("besiii-pixel", "clas12-like", "kloe2-like", "epic-like", "idea-like", "cepc-like")
+MOMENTA = (1.0, 10.0)
+
+#: Quantity -> its name in a picture and its unit.
+QUANTITIES = {"p": ("$\\sigma(p)/p$", "%"), "dr": ("$\\sigma(d_\\rho)$", "um"), "dz": ("$\\sigma(d_z)$", "um")}
+#: Fits to the full simulation of ePIC (Geant4 and ACTS, true seeds) in the card 2ndDET_cards/delphes_card_ePIC.tcl
+#: of github.com/delphes/delphes. Pseudorapidities -> quantity -> a and b: a (+) b p for p, a (+) b/pT for others.
+EPIC = {
+    (0.0, 0.5): {"p": (0.4, 0.053), "dr": (6.5, 24.1), "dz": (4.7, 26.4)},
+    (0.5, 1.0): {"p": (0.5, 0.051), "dr": (6.8, 28.3), "dz": (5.7, 35.1)},
+}
+EPIC_MOMENTA = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Expected resolutions of muons across the beam: GeV/c, per cent, um."""
+
+    preset: str
+    momentum: float
+    p: float
+    dr: float
+    dz: float
+
+
+@dataclass(frozen=True)
+class Published:
+    """An expected resolution of pions beside the published one: GeV/c, per cent or um."""
+
+    low: float  # pseudorapidity
+    high: float
+    quantity: str
+    momentum: float
+    expected: float
+    published: float
+
+
+def resolutions(
+    name: str | cg.Detector, particle: str, p: float, cos_theta: float | tuple[float, float]
+) -> dict[str, float]:
+    """Return the expected resolutions by quantity: per cent, um."""
+    found = cg.analytic(name, particle, p=p, cos_theta=cos_theta)
+    return {"p": float(found.sigma_p) / p / 10, "dr": float(found.sigma_dr), "dz": 1e3 * float(found.sigma_dz)}
+
+
+def epic(p: float, low: float, high: float, quantity: str) -> float:
+    """Return what the card says in the middle of a range of pseudorapidity."""
+    a, b = EPIC[low, high][quantity]
+    return float(np.hypot(a, b * p if quantity == "p" else b * np.cosh(0.5 * (low + high)) / p))
+
+
+def expected(share: float) -> Numbers:
+    """Compute the resolutions of all presets."""
+    rows = [Resolution(name, p, **resolutions(name, "mu-", p, 0.0)) for name in PRESETS for p in MOMENTA]
+    return Numbers(rows)
+
+
+def beside_epic(share: float) -> Numbers:
+    """Compute the resolutions of `epic-like` where they are published."""
+    return Numbers(list(_epic_rows()))
+
+
+def _epic_rows() -> Iterator[Published]:
+    for low, high in EPIC:
+        for p in EPIC_MOMENTA:
+            ours = resolutions("epic-like", "pi-", p, (float(np.tanh(low)), float(np.tanh(high))))
+            for quantity, value in ours.items():
+                yield Published(low, high, quantity, p, value, epic(p, low, high, quantity))
+
+
+def blocks(found: Found) -> dict[str, str]:
+    """Return the tables."""
+    head = ["preset", "σ(d_ρ), σ(d_z) at 1 GeV/c [µm]", "at 10 GeV/c [µm]", "σ(p)/p at 1, 10 GeV/c [%]"]
+    lines = []
+    for name in PRESETS:
+        one, ten = (row for row in found["expected"].rows if row.preset == name)
+        impact = [f"{row.dr:.3g}, {row.dz:.3g}" for row in (one, ten)]
+        lines.append([f"`{name}`", *impact, f"{one.p:.2g}, {ten.p:.2g}"])
+    of_epic = ["`epic-like` / published", *(f"{p:g} GeV/c" for p in EPIC_MOMENTA)]
+    ratios = []
+    for low, high in EPIC:
+        for quantity, (name, _) in QUANTITIES.items():
+            rows = [row for row in found["epic"].rows if (row.low, row.quantity) == (low, quantity)]
+            ratios.append([f"{name}, {low:g} < η < {high:g}", *(f"{row.expected / row.published:.2f}" for row in rows)])
+    return {"expected": table(head, lines), "published": table(of_epic, ratios)}
+
+
+def draw_presets(found: Found) -> Figure:
+    """Draw one half of six presets along the beam."""
+    figure, axes = plt.subplots(3, 2, figsize=(11.6, 12.0), dpi=75)
+    for plot, name in zip(axes.flat, DRAWN, strict=True):
+        draw_rz(name, plot)
+    figure.tight_layout()
+    return figure
+
+
+def draw_published(found: Found) -> Figure:
+    """Draw the resolutions of `epic-like` over the published ones."""
+    figure, axes = plt.subplots(1, 3, figsize=(11.6, 4.0), dpi=85)
+    momenta = np.geomspace(EPIC_MOMENTA[0], EPIC_MOMENTA[-1], 60)
+    for plot, (quantity, (name, unit)) in zip(axes, QUANTITIES.items(), strict=True):
+        for (low, high), color, mark in zip(EPIC, ("#0072B2", "#D55E00"), "os", strict=True):
+            rows = [row for row in found["epic"].rows if (row.low, row.quantity) == (low, quantity)]
+            where = f"{low:g} < $\\eta$ < {high:g}"
+            plot.plot(momenta, [epic(p, low, high, quantity) for p in momenta], color=color, label=f"ePIC, {where}")
+            plot.plot(
+                [row.momentum for row in rows], [row.expected for row in rows], mark, color=color, mfc="white",
+                label=f"epic-like, {where}",
+            )  # fmt: skip
+        plot.set(xscale="log", xlabel="p (GeV/c)", ylabel=f"{name} ({unit.replace('um', 'µm')})", ylim=(0, None))
+        plot.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
+        plot.minorticks_off()
+        plot.grid(alpha=0.3)
+    axes[0].legend(fontsize=8)
+    figure.suptitle("pions: lines are fits to ePIC's full simulation, points are expected for epic-like", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+PAGE = Page(
+    "presets", "docs/methods/detector.md", "10 s",
+    {"expected": (Resolution, expected), "epic": (Published, beside_epic)}, blocks,
+    {"presets.png": draw_presets, "presets-published.png": draw_published},
+)  # fmt: skip
