@@ -17,7 +17,6 @@ PRESETS = (
     *("besiii-cgem-design", "besiii-pixel", "clas12-like", "stcf-like", "kloe2-like"),
     *("epic-like", "idea-like", "cepc-like"),
 )
-DRAWN = ("besiii-pixel", "clas12-like", "kloe2-like", "epic-like", "idea-like", "cepc-like")
 MOMENTA = (1.0, 10.0)
 
 #: Quantity -> its name in a picture and its unit.
@@ -105,11 +104,16 @@ def blocks(found: Found) -> dict[str, str]:
 
 
 def draw_presets(found: Found) -> Figure:
-    """Draw one half of six presets along the beam."""
-    figure, axes = plt.subplots(3, 2, figsize=(11.6, 12.0), dpi=75)
-    for plot, name in zip(axes.flat, DRAWN, strict=True):
+    """Draw one half of the presets along the beam."""
+    figure, axes = plt.subplots(4, 2, figsize=(11.6, 16.0), dpi=75)
+    entries = {}  # of one legend for all, below
+    for plot, name in zip(axes.flat, PRESETS, strict=True):
         draw_rz(name, plot)
-    figure.tight_layout()
+        legend = plot.get_legend()
+        entries |= {text.get_text(): mark for text, mark in zip(legend.texts, legend.legend_handles, strict=True)}
+        legend.remove()
+    figure.legend(entries.values(), entries.keys(), loc="lower center", ncols=4, fontsize=9)
+    figure.tight_layout(rect=(0, 0.035, 1, 1))
     return figure
 
 
