@@ -56,9 +56,9 @@ from cgemit.reconstruction.refine import Hits
 from cgemit.simulation.background import add_background
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate, transport_counts
-from cgemit.tables import Table, concatenate
+from cgemit.tables import Table
 from cgemit.tables.formats import check_format
-from cgemit.tables.store import PartsWriter, StoredTables
+from cgemit.tables.store import JoinedTables, PartsWriter, StoredTables
 from cgemit.tables.table import without_links
 
 Tables = dict[str, Table]
@@ -210,8 +210,9 @@ def run(
         check_chunk(sample.sizes, sample.events, min(chunk, n_events), min(len(tasks), at_a_time(workers)))
     if out is None:
         parts = answers(_chunk, tasks, workers, None if len(tasks) <= MANY else n_events)
-        joined = concatenate([totals.add(answer) for answer in parts], gaps=job.given is not None)
-        return result({name: joined[name].with_meta(**meta) for name in TABLES if name in joined})
+        made = [totals.add(answer) for answer in parts]
+        kept = [{name: tables[name] for name in TABLES if name in tables} for tables in made]
+        return result(JoinedTables(kept, gaps=job.given is not None, meta=meta))
     with new_folder(out.folder, overwrite=out.overwrite) as folder:
         writer = PartsWriter(folder, out.format, gaps=job.given is not None)
         for answer in answers(_chunk, tasks, workers, None, pending=True):

@@ -15,8 +15,8 @@ import numpy as np
 
 from cgemit.base.files import new_file, read_text
 from cgemit.tables.formats import BY_SUFFIX, FORMATS, check_format, describe, load, load_columns, save
-from cgemit.tables.schema import Array, Rows
-from cgemit.tables.table import Table, lost_links, moved_links
+from cgemit.tables.schema import Array, Rows, schema_of
+from cgemit.tables.table import Table, lost_links, moved_links, targets
 
 INDEX = "tables.json"
 _LARGEST = 200_000_000  # bytes of an index, which has a line for each of many parts
@@ -177,22 +177,7 @@ def concatenate(chunks: Sequence[Mapping[str, Table]], *, gaps: bool = False) ->
     >>> concatenate(parts)["clusters"] == r.clusters
     True
     """
-    if not chunks:
-        raise ValueError("chunks: expected at least one")
-    names = list(chunks[0])
-    problems = [problem for name in names for problem in _problems(name, chunks, gaps)]
-    problems += [
-        f"chunk {i}: holds {sorted(chunk)}, expected {sorted(names)}"
-        for i, chunk in enumerate(chunks)
-        if set(chunk) != set(names)
-    ]
-    if problems:
-        raise ValueError("the chunks cannot be joined:\n  " + "\n  ".join(problems))
-    if len(chunks) == 1:
-        return dict(chunks[0])
-    # Rows of each table before each chunk.
-    before = {name: np.cumsum([0, *(len(chunk[name]) for chunk in chunks[:-1])], dtype=np.int64) for name in names}
-    return {name: _join([chunk[name] for chunk in chunks], before) for name in names}
+    return dict(JoinedTables(chunks, gaps=gaps))
 
 
 def append(tables: Sequence[Table]) -> Table:
@@ -280,14 +265,15 @@ def _join(tables: list[Table], before: Mapping[str, Array]) -> Table:
         name: np.concatenate([moved.get(name, table.columns[name]) for table, moved in zip(tables, links, strict=True)])
         for name in tables[0].columns
     }
-    same = {
-        key: value
-        for key, value in tables[0].meta.items()
-        if all(key in table.meta and table.meta[key] == value for table in tables)
-    }
     events = np.concatenate([table.events for table in tables])
     n_events = sum(table.n_events for table in tables)
-    return Table(tables[0].kind, joined, n_events, tables[0].first_event, same, events)
+    return Table(tables[0].kind, joined, n_events, tables[0].first_event, _same_meta(tables), events)
+
+
+def _same_meta(tables: Sequence[Table]) -> dict[str, Any]:
+    """Return what all tables say of themselves."""
+    first, *others = (table.meta for table in tables)
+    return {key: value for key, value in first.items() if all(key in one and one[key] == value for one in others)}
 
 
 #: A part is closed when the columns of its tables reach this many bytes.
@@ -316,6 +302,76 @@ def column_of(tables: Mapping[str, Table], name: str, column: str) -> Array:
     """Return one column of a table; of tables in files the others are not read."""
     found: Array = tables.column(name, column) if isinstance(tables, LazyTables) else tables[name][column]
     return found
+
+
+class JoinedTables(LazyTables):
+    """The tables of chunks, see `concatenate`; each is joined when it is first asked for, and kept.
+
+    Parameters
+    ----------
+    chunks : sequence of mappings of str to Table
+    gaps : bool
+    meta : mapping
+        Added to the description of each table.
+
+    Raises
+    ------
+    ValueError
+        Listing every reason why the chunks cannot be joined.
+    """
+
+    def __init__(
+        self, chunks: Sequence[Mapping[str, Table]], *, gaps: bool = False, meta: Mapping[str, Any] | None = None
+    ) -> None:
+        if not chunks:
+            raise ValueError("chunks: expected at least one")
+        names = list(chunks[0])
+        problems = [problem for name in names for problem in _problems(name, chunks, gaps)]
+        problems += [
+            f"chunk {i}: holds {sorted(chunk)}, expected {sorted(names)}"
+            for i, chunk in enumerate(chunks)
+            if set(chunk) != set(names)
+        ]
+        if problems:
+            raise ValueError("the chunks cannot be joined:\n  " + "\n  ".join(problems))
+        self._meta = dict(meta or {})
+        self._parts = {name: [chunk[name] for chunk in chunks] for name in names}
+        self._tables: dict[str, Table] = {}
+        # Rows of each table before each chunk.
+        self._before = {
+            name: np.cumsum([0, *(len(table) for table in parts[:-1])], dtype=np.int64)
+            for name, parts in self._parts.items()
+        }
+
+    def __getitem__(self, name: str) -> Table:
+        if name not in self._tables:
+            parts = self._parts[name]
+            joined = parts[0] if len(parts) == 1 else _join(parts, self._before)
+            self._tables[name] = joined.with_meta(**self._meta) if self._meta else joined
+            self._parts[name] = [self._tables[name]]
+        return self._tables[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parts)
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._parts
+
+    def about(self, name: str) -> Mapping[str, Any]:
+        """Return the description of a table."""
+        parts = self._parts[name]
+        sums = {"rows": sum(map(len, parts)), "n_events": sum(part.n_events for part in parts)}
+        return describe(parts[0]) | sums | {"meta": {**_same_meta(parts), **self._meta}}
+
+    def column(self, name: str, column: str) -> Array:
+        """Return one column of a table, (n,) or (n, ...); the others are not joined, unless it is a link."""
+        parts = self._parts[name]
+        if len(parts) == 1 or any(one.name == column and targets(one) for one in schema_of(parts[0].kind)):
+            return super().column(name, column)
+        return np.concatenate([part[column] for part in parts])
 
 
 class StoredTables(LazyTables):

@@ -11,10 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cgemit import Gun, RefineSettings, Settings, TigerReadout, fit_vertices, run
+from cgemit import Gun, RefineSettings, Settings, TigerReadout, Workers, fit_vertices, run
 from cgemit.base.files import new_file
 from cgemit.reconstruction.fit import FitSettings
-from cgemit.tables import ROWS, SCHEMAS, Table, concatenate, load_tables, save_tables, select_events
+from cgemit.tables import ROWS, SCHEMAS, Table, concatenate, load_tables, save_tables, select_events, store
+from cgemit.tables.formats import describe
+from cgemit.tables.store import JoinedTables, about_of, column_of
+from cgemit.tables.store import _join as joining
 from cgemit.tables.table import linked, targets
 
 
@@ -278,6 +281,28 @@ def test_concatenate_shifts_links():
     assert joined["digis"].meta == {"seed": 1}
     one = chunk(3, 2, 2)
     assert concatenate([one]) == one
+
+
+def test_tables_are_joined_when_asked_for():
+    """Descriptions and single columns come from the chunks; they are those of the joined tables."""
+    chunks = [chunk(0, 2, 4), chunk(2, 3, 5), chunk(5, 1, 1)]
+    lazy, joined = JoinedTables(chunks, meta={"run": 7}), concatenate(chunks)
+    for name, table in joined.items():
+        assert about_of(lazy, name) == describe(table.with_meta(run=7))
+        for column in table.columns:
+            np.testing.assert_array_equal(column_of(lazy, name, column), table[column])
+    assert dict(lazy) == {name: table.with_meta(run=7) for name, table in joined.items()}
+    assert pickle.loads(pickle.dumps(lazy)) == lazy
+
+
+def test_a_run_joins_no_table_that_nobody_asks_for(monkeypatch):
+    joined = []
+    monkeypatch.setattr(store, "_join", lambda parts, before: joined.append(parts[0].kind) or joining(parts, before))
+    result = run("besiii-cgem", Gun("mu-", p=1.0, cos_theta=0.0), 6, workers=Workers(threads=1, chunk=2))
+    assert (result.rows["truths"], result.n_events, result.removed()) == (18, 6, {})
+    assert joined == []
+    assert len(result.truths) == len(result.truths) == 18
+    assert joined == ["truths"]
 
 
 def test_concatenate_refuses_what_does_not_join():
