@@ -17,7 +17,7 @@ CPP_LAYERS = [
     {"motion"},
     {"matter"},
     {"kalman"},
-    {"simulation/transport", "simulation/digitize", "simulation/background"}
+    {"simulation/transport", "simulation/digitize", "simulation/background", "simulation/truth"}
     | {"reconstruction/cluster", "reconstruction/find", "reconstruction/fit", "reconstruction/refine"}
     | {"covariance"},
     {"kernels"},

@@ -13,6 +13,7 @@ from borders import Call, deaths, recorded
 from cgemit import _core
 from cgemit.particles.species import compiled_decays
 from cgemit.reconstruction.cluster_errors import chip_delays, expected_errors
+from cgemit.reconstruction.find import particle_rows
 
 DESIGN = "besiii-cgem-design"
 
@@ -39,6 +40,7 @@ def calls() -> dict[str, list[Call]]:
         cg.analytic(DESIGN, "mu-", p=1.0, radius=100.0)
         cg.slab("Kapton 300 um", "pi-", p=0.5, n=1000)
         cg.extrapolate(DESIGN, result.tracks, 100.0)
+        particle_rows(result.particles, result.truths)
         cg.helix.change_pivot(
             np.array([[0.0, 1.0, 1.0, 0.0, 0.1]]), np.eye(5)[None], np.zeros((1, 3)), np.ones((1, 3)), 1.0
         )

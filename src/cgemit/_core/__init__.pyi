@@ -452,3 +452,24 @@ def extrapolate(
 def change_pivot(
     helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: npt.ArrayLike
 ) -> tuple[_Floats, _Floats]: ...
+def particle_rows(particles: _Columns, crossings: _Columns) -> _Array: ...
+def match_hits(
+    *,
+    particles: _Columns,
+    truths: _Columns,
+    wire_truths: _Columns,
+    clusters: _Columns,
+    wire_hits: _Columns,
+    candidate_hits: _Columns,
+    candidates: int,
+) -> dict[str, _Array]: ...
+def assign_hits(
+    *,
+    particles: _Columns,
+    truths: _Columns,
+    wire_truths: _Columns,
+    clusters: _Columns,
+    wire_hits: _Columns,
+    candidates: npt.ArrayLike,
+    rows: npt.ArrayLike,
+) -> dict[str, _Array]: ...

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.detector import Detector, compiled, load
-from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV, XV_CLUSTER
-from cgemit.reconstruction.find.truth import link_problems, particle_rows
+from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV
+from cgemit.reconstruction.find.truth import link_problems
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def match(
@@ -78,21 +76,12 @@ def match(
     )
     if problems:
         raise ValueError("match:\n  " + "\n  ".join(problems))
-    of_cluster, late_cluster = _owners(particles, clusters["truth"], truths)
-    of_wire, late_wire = _owners(particles, wire_hits["wire_truth"], wire_truths)
-    owner = _pick(candidate_hits, of_cluster, of_wire)
-    weight = np.where(candidate_hits["view"] == HIT_XV, 2, 1)
-    row, own, hits = _most_common(owner, weight, candidate_hits["candidate"], len(candidates))
-    late = _pick(candidate_hits, late_cluster, late_wire) & (owner == row[candidate_hits["candidate"]])
-    own = own - np.bincount(candidate_hits["candidate"], weight * late, minlength=len(candidates)).astype(np.int64)
-    other_cluster, other_wire = _other(clusters["truth"], truths), _other(wire_hits["wire_truth"], wire_truths)
-    left = _hits_left(
-        clusters, np.where(other_cluster, -1, of_cluster), np.where(other_wire, -1, of_wire), len(particles)
-    )
-    first = (owner == row[candidate_hits["candidate"]]) & ~_pick(candidate_hits, other_cluster, other_wire)
-    found = np.bincount(candidate_hits["candidate"], weight * first, minlength=len(candidates)).astype(np.int64)
-    candidate = tracks["candidate"]
-    row, own, hits, found = row[candidate], own[candidate], hits[candidate], found[candidate]
+    hits = _core.match_hits(
+        particles=dict(particles.columns), truths=dict(truths.columns), wire_truths=dict(wire_truths.columns),
+        clusters=dict(clusters.columns), wire_hits=dict(wire_hits.columns),
+        candidate_hits=dict(candidate_hits.columns), candidates=len(candidates),
+    )  # fmt: skip
+    row, own, total, found = (hits[name][tracks["candidate"]] for name in ("particle", "own", "hits", "found"))
     known = row >= 0
     of = np.where(known, row, 0)
     none = np.full(len(tracks), np.nan)
@@ -100,8 +89,8 @@ def match(
         "event": tracks["event"],
         "track": np.arange(len(tracks)),
         "particle": np.where(known, particles["particle"].take(of), -1) if len(particles) else np.full(len(tracks), -1),
-        "purity": np.divide(own, hits, out=none.copy(), where=hits > 0),
-        "efficiency": np.divide(found, left.take(of), out=none.copy(), where=known) if len(particles) else none,
+        "purity": np.divide(own, total, out=none.copy(), where=total > 0),
+        "efficiency": np.divide(found, hits["left"].take(of), out=none.copy(), where=known) if len(particles) else none,
     }
     decayed = np.append(particles["status"] == _core.TransportStatus.decayed, False)
     columns["decayed"] = np.where(known, decayed.take(of), -1)
@@ -167,64 +156,3 @@ def _row_problems(
                 f"{table} row {wrong[0]}: {name}: got {values[wrong[0]]}, expected 0 to {n} (excluded), {of}"
             )
     return problems
-
-
-def _owners(particles: Table, link: Rows, truths: Table) -> tuple[Rows, Flags]:
-    """Row of the particle behind each row of a table that links to truths (-1: none); whether a daughter left it."""
-    position = np.where(link >= 0, link, -1)
-    owner: Rows = np.append(particle_rows(particles, truths), -1).take(position)
-    late: Flags = np.append(truths["daughter"] > 0, False).take(position)
-    return owner, late
-
-
-def _other(link: Rows, truths: Table) -> Flags:
-    """Whether a daughter, or another half turn than the first, is behind each row of a table that links to truths."""
-    other = (truths["daughter"] > 0) | (truths["half_turn"] != 0)
-    position = np.where(link >= 0, link, -1)
-    flags: Flags = np.append(other, False).take(position)
-    return flags
-
-
-def _pick(candidate_hits: Table, of_cluster: npt.NDArray[Scalar], of_wire: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-    """Value behind each hit of the candidates, from the values of all clusters and wire hits."""
-    wire = candidate_hits["view"] == HIT_WIRE
-    joined_rows = candidate_hits["row"] + np.where(wire, len(of_cluster), 0)
-    picked: npt.NDArray[Scalar] = np.concatenate([of_cluster, of_wire]).take(joined_rows)
-    return picked
-
-
-def _hits_left(clusters: Table, of_cluster: Rows, of_wire: Rows, n: int) -> Rows:
-    """How many X clusters, V clusters and wire hits each of n particles left."""
-    view = clusters["view"]
-    # An XV cluster counts only where the table holds no X or V cluster of its strips.
-    weight = np.where(view == XV_CLUSTER, np.where(clusters["x_cluster"] < 0, 2, 0), 1)
-    known, on_wire = of_cluster >= 0, of_wire >= 0
-    left = np.bincount(of_cluster[known], weight[known], minlength=n) + np.bincount(of_wire[on_wire], minlength=n)
-    return np.asarray(np.maximum(left, 1).astype(np.int64))
-
-
-def _most_common(owner: Rows, weight: Rows, candidate: Rows, n: int) -> tuple[Rows, Rows, Rows]:
-    """Return for each of n candidates the most common owner of its hits (-1: none), its hits there, and all hits."""
-    if np.any(candidate[1:] < candidate[:-1]):
-        order = np.argsort(candidate, kind="stable")
-        owner, weight, candidate = owner[order], weight[order], candidate[order]
-    hits = np.bincount(candidate, weight, minlength=n).astype(np.int64)
-    best, own = np.full(n, -1), np.zeros(n, np.int64)
-    first = np.flatnonzero(np.diff(candidate, prepend=-1))
-    if not len(first):
-        return best, own, hits
-    which = candidate[first]
-    least, most = np.minimum.reduceat(owner, first), np.maximum.reduceat(owner, first)
-    pure = least == most  # usually all of them
-    best[which[pure]] = least[pure]
-    own[which[pure]] = np.where(least[pure] >= 0, hits[which[pure]], 0)
-    mixed = np.zeros(n, np.bool_)
-    mixed[which[~pure]] = True
-    rows = np.flatnonzero(mixed[candidate] & (owner >= 0))
-    width = int(owner.max(initial=0)) + 1
-    pairs, place = np.unique(candidate[rows] * width + owner[rows], return_inverse=True)
-    counts = np.bincount(place, weight[rows], minlength=len(pairs)).astype(np.int64)
-    order = np.lexsort((pairs, -counts, pairs // width))
-    chosen = order[np.diff(pairs[order] // width, prepend=-1) != 0]
-    best[pairs[chosen] // width], own[pairs[chosen] // width] = pairs[chosen] % width, counts[chosen]
-    return best, own, hits

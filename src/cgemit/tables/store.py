@@ -287,6 +287,10 @@ class LazyTables(Mapping[str, Table]):
         """Return the description of a table."""
         raise NotImplementedError
 
+    def __or__(self, others: Mapping[str, Table]) -> dict[str, Table]:
+        """Return all tables and others, as of a dict."""
+        return {**self, **others}
+
     def column(self, name: str, column: str) -> Array:
         """Return one column of a table, (n,) or (n, ...)."""
         found: Array = self[name][column]

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import _core
 from cgemit.detector import Detector, load
 from cgemit.detector.parts import local_v, pitches
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
+from cgemit.reconstruction.candidates import HIT_V, HIT_X, XV_CLUSTER
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
@@ -64,28 +65,13 @@ def by_truth(
     if problems:
         raise ValueError("by_truth:\n  " + "\n  ".join(problems))
     charged = np.flatnonzero(particles["charge"])
-    in_view = own_clusters(detector, clusters, truths)
-    linked = np.flatnonzero(wire_hits["wire_truth"] >= 0)
-    # The candidate of each particle; -1 for neutral ones and, as the last entry, for hits without a particle.
-    candidate_of = np.full(len(particles) + 1, -1)
+    candidate_of = np.full(len(particles), -1)  # of each particle; neutral ones have none
     candidate_of[charged] = np.arange(len(charged))
-    of_truth, of_passage = (
-        np.where(
-            (table["daughter"] == 0) & (table["half_turn"] == 0), candidate_of[particle_rows(particles, table)], -1
-        )
-        for table in (truths, wire_truths)
-    )
-    owner = np.concatenate(
-        [of_truth[clusters["truth"][in_view]], of_passage.take(wire_hits["wire_truth"].take(linked))]
-    )
-    view = np.concatenate([clusters["view"][in_view], np.full(len(linked), HIT_WIRE, "i1")])
-    layer = np.concatenate([clusters["layer"][in_view], wire_hits["layer"].take(linked)])
-    layers = int(layer.max(initial=0)) + 1
-    outward = (owner * 2 + (view == HIT_WIRE)) * layers + layer
-    # Stable: within a layer the order of the tables stays (sheet, then X before V; wire).
-    order = np.argsort(outward, kind="stable")
-    order = order[np.searchsorted(outward.take(order), 0) :]  # drops hits without an owner (-1)
-    owner = owner.take(order)
+    hits = _core.assign_hits(
+        particles=dict(particles.columns), truths=dict(truths.columns), wire_truths=dict(wire_truths.columns),
+        clusters=dict(clusters.columns), wire_hits=dict(wire_hits.columns), candidates=candidate_of,
+        rows=own_clusters(detector, clusters, truths),
+    )  # fmt: skip
     event = particles["event"].take(charged)
     columns = {
         "event": event,
@@ -93,12 +79,7 @@ def by_truth(
         "pdg": np.abs(particles["pdg"].take(charged)),
         "mass": particles["mass"].take(charged),
     }
-    hits = {
-        "event": event.take(owner),
-        "candidate": owner,
-        "view": view.take(order),
-        "row": np.concatenate([in_view, linked]).take(order),
-    }
+    hits["event"] = event.take(hits["candidate"])
     about = particles.cover | {"meta": {"finder": "truth"}}
     return {
         "candidates": Table("candidates", columns, **about),
@@ -153,7 +134,10 @@ def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> li
     wires = [layer.number for layer in chamber.layers] if chamber else []
     problems = []
     for table, known in ((clusters, range(len(detector.layers))), (wire_hits, wires)):
-        strange = table["layer"][~np.isin(table["layer"], list(known))]
+        layer = table["layer"]
+        there = np.zeros(max(known, default=0) + 2, np.bool_)
+        there[known] = True
+        strange = layer[~there[layer.clip(-1, len(there) - 1)]]  # the last entry is for any other number
         if len(strange):
             problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
     view = clusters["view"]
@@ -260,15 +244,5 @@ def particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
     ndarray, (truths,) int64
         Row of the particles table; -1 where it holds no such particle.
     """
-    span = int(max(particles["particle"].max(initial=0), truths["particle"].max(initial=0))) + 1
-    first = min(particles.first_event, truths.first_event)
-    known = (particles["event"] - first) * span + particles["particle"]
-    key = (truths["event"] - first) * span + truths["particle"]
-    if not len(known) or not len(key):
-        return np.full(len(key), -1)
-    # The rows of a particle follow each other: one look-up for all of them.
-    begin = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-    wanted = key[begin]
-    order = np.argsort(known, kind="stable")
-    row = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]
-    return np.repeat(np.where(known[row] == wanted, row, -1), np.diff(begin, append=len(key)))
+    found: npt.NDArray[np.int64] = _core.particle_rows(dict(particles.columns), dict(truths.columns))
+    return found

@@ -1,0 +1,175 @@
+#include "simulation/truth/owners.hpp"
+
+#include <algorithm>
+#include <numeric>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+namespace cgemit {
+namespace {
+
+constexpr std::int8_t wire_view = 2, point_view = 3;  // of hits of candidates
+constexpr std::int8_t xv_cluster = 2;
+
+// The particle behind a crossing; `late`: a daughter left it; `other`: so did it, or another half turn than
+// the first.
+struct Owner {
+  std::int64_t row = -1;
+  bool late = false, other = false;
+};
+
+std::vector<Owner> owners(const NumberedRows& particles, const NumberedRows& crossings) {
+  const std::vector<std::int64_t> rows = particle_rows(particles, crossings);
+  std::vector<Owner> found(rows.size());
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const bool late = crossings.daughter[i] > 0;
+    found[i] = {rows[i], late, crossings.daughter[i] != 0 || crossings.half_turn[i] != 0};
+  }
+  return found;
+}
+
+Owner behind(const std::vector<Owner>& crossings, std::int64_t link) {
+  return link < 0 ? Owner{} : crossings[static_cast<std::size_t>(link)];
+}
+
+// Numbers of the hits of candidates, by candidate.
+std::vector<std::size_t> by_candidate(Links candidate) {
+  std::vector<std::size_t> order(candidate.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  const auto before = [&](std::size_t a, std::size_t b) { return candidate[a] < candidate[b]; };
+  if (!std::ranges::is_sorted(candidate)) std::ranges::stable_sort(order, before);
+  return order;
+}
+
+void check_row(std::int64_t row, std::size_t size) {
+  if (row < 0 || row >= static_cast<std::int64_t>(size))
+    throw std::invalid_argument("row: got " + std::to_string(row) + ", expected 0 to " +
+                                std::to_string(size) + " (excluded)");
+}
+
+}  // namespace
+
+void check_rows(const MatchInput& in) {
+  for (std::size_t i = 0; i < in.row.size(); ++i)
+    check_row(in.row[i], in.view[i] == wire_view ? in.wire_truth.size() : in.cluster_truth.size());
+}
+
+std::vector<std::int64_t> particle_rows(const NumberedRows& particles, const NumberedRows& crossings) {
+  const std::size_t n = particles.event.size();
+  std::vector<std::int64_t> rows(crossings.event.size(), -1);
+  std::size_t begin = 0, end = 0;  // particles of the event
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const std::int64_t event = crossings.event[i];
+    const std::int32_t wanted = crossings.particle[i];
+    if (i > 0 && event == crossings.event[i - 1] && wanted == crossings.particle[i - 1]) {
+      rows[i] = rows[i - 1];
+      continue;
+    }
+    if (i == 0 || event != crossings.event[i - 1]) {
+      for (begin = end; begin < n && particles.event[begin] < event;) ++begin;
+      for (end = begin; end < n && particles.event[end] == event;) ++end;
+    }
+    // Particles are usually numbered in the order of their rows.
+    const auto numbers = particles.particle.subspan(begin, end - begin);
+    const auto guess = static_cast<std::size_t>(std::max(wanted, 0));
+    const bool there = guess < numbers.size() && numbers[guess] == wanted;
+    const auto at =
+        there ? guess : static_cast<std::size_t>(std::ranges::find(numbers, wanted) - numbers.begin());
+    if (at < numbers.size()) rows[i] = static_cast<std::int64_t>(begin + at);
+  }
+  return rows;
+}
+
+MatchOutput match_hits(const MatchInput& in) {
+  const std::vector<Owner> of_truth = owners(in.particles, in.truths),
+                           of_crossing = owners(in.particles, in.wire_truths);
+  MatchOutput out;
+  out.left.assign(in.particles.event.size(), 0);
+  const auto count = [&](const Owner& owner, int weight) {
+    if (owner.row >= 0 && !owner.other) out.left[static_cast<std::size_t>(owner.row)] += weight;
+  };
+  for (std::size_t i = 0; i < in.cluster_truth.size(); ++i) {
+    // An XV cluster counts only where the table holds no X or V cluster of its strips.
+    const int weight = in.cluster_view[i] != xv_cluster ? 1 : in.x_cluster[i] < 0 ? 2 : 0;
+    count(behind(of_truth, in.cluster_truth[i]), weight);
+  }
+  for (const std::int64_t link : in.wire_truth) count(behind(of_crossing, link), 1);
+  for (std::int64_t& hits : out.left) hits = std::max<std::int64_t>(hits, 1);
+
+  out.particle.assign(in.candidates, -1);
+  for (auto* column : {&out.own, &out.hits, &out.found}) column->assign(in.candidates, 0);
+  struct Share {
+    std::int64_t row, hits, late, found;
+  };
+  std::vector<Share> shares;  // of the particles of a candidate
+  const std::vector<std::size_t> order = by_candidate(in.candidate);
+  for (std::size_t first = 0, last; first < order.size(); first = last) {
+    const std::int64_t number = in.candidate[order[first]];
+    const auto candidate = static_cast<std::size_t>(number);
+    shares.clear();
+    for (last = first; last < order.size() && in.candidate[order[last]] == number; ++last) {
+      const std::size_t hit = order[last], row = static_cast<std::size_t>(in.row[hit]);
+      const int weight = in.view[hit] == point_view ? 2 : 1;
+      const Owner owner = in.view[hit] == wire_view ? behind(of_crossing, in.wire_truth[row])
+                                                    : behind(of_truth, in.cluster_truth[row]);
+      out.hits[candidate] += weight;
+      if (owner.row < 0) continue;
+      auto share = std::ranges::find(shares, owner.row, &Share::row);
+      if (share == shares.end()) share = shares.insert(share, {owner.row, 0, 0, 0});
+      share->hits += weight;
+      share->late += owner.late ? weight : 0;
+      share->found += owner.other ? 0 : weight;
+    }
+    const auto more = [](const Share& a, const Share& b) {
+      return a.hits != b.hits ? a.hits > b.hits : a.row < b.row;
+    };
+    const auto most = std::ranges::min_element(shares, more);
+    if (most == shares.end()) continue;
+    out.particle[candidate] = most->row;
+    out.own[candidate] = most->hits - most->late;
+    out.found[candidate] = most->found;
+  }
+  return out;
+}
+
+HitsOfParticles assign_hits(const AssignInput& in) {
+  struct Place {
+    std::int64_t candidate;
+    std::int32_t layer;
+    std::int8_t view;
+    std::int64_t row;
+  };
+  const auto candidate_of = [&](const Owner& owner) {
+    return owner.row < 0 || owner.other ? -1 : in.candidates[static_cast<std::size_t>(owner.row)];
+  };
+  std::vector<Place> hits;
+  hits.reserve(in.clusters.size() + in.wire_truth.size());
+  const std::vector<Owner> of_truth = owners(in.particles, in.truths),
+                           of_crossing = owners(in.particles, in.wire_truths);
+  for (const std::int64_t row : in.clusters) {
+    check_row(row, in.cluster_truth.size());
+    const auto at = static_cast<std::size_t>(row);
+    const std::int64_t candidate = candidate_of(behind(of_truth, in.cluster_truth[at]));
+    if (candidate >= 0) hits.push_back({candidate, in.cluster_layer[at], in.cluster_view[at], row});
+  }
+  for (std::size_t at = 0; at < in.wire_truth.size(); ++at) {
+    const std::int64_t candidate = candidate_of(behind(of_crossing, in.wire_truth[at]));
+    if (candidate >= 0)
+      hits.push_back({candidate, in.wire_layer[at], wire_view, static_cast<std::int64_t>(at)});
+  }
+  const auto outward = [](const Place& a, const Place& b) {
+    const auto key = [](const Place& one) { return std::pair(one.view == wire_view, one.layer); };
+    return a.candidate != b.candidate ? a.candidate < b.candidate : key(a) < key(b);
+  };
+  std::ranges::stable_sort(hits, outward);
+  HitsOfParticles out;
+  for (const Place& hit : hits) {
+    out.candidate.push_back(hit.candidate);
+    out.row.push_back(hit.row);
+    out.view.push_back(hit.view);
+  }
+  return out;
+}
+
+}  // namespace cgemit

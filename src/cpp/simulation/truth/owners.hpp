@@ -1,0 +1,68 @@
+// Which particle left what: the particle behind each crossing, the hits that belong to each particle, and the
+// particle that most hits of a candidate come from (docs/methods/match.md). Rows count from 0, -1 is none.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace cgemit {
+
+using Links = std::span<const std::int64_t>;
+
+// Rows by event, each with the number of a particle in its event. `daughter` and `half_turn` are of
+// crossings.
+struct NumberedRows {
+  std::span<const std::int64_t> event;
+  std::span<const std::int32_t> particle;
+  std::span<const std::int32_t> daughter = {};
+  std::span<const std::int8_t> half_turn = {};
+};
+
+// Row of the particle behind each crossing.
+std::vector<std::int64_t> particle_rows(const NumberedRows& particles, const NumberedRows& crossings);
+
+struct MatchInput {
+  NumberedRows particles, truths, wire_truths;
+  Links cluster_truth, wire_truth;            // of clusters and wire hits
+  std::span<const std::int8_t> cluster_view;  // 0 X, 1 V, 2 XV
+  Links x_cluster;                            // of XV clusters
+  Links candidate, row;                       // of the hits of candidates
+  std::span<const std::int8_t> view;          // of these: 2 wire, 3 XV
+  std::size_t candidates;
+};
+
+struct MatchOutput {
+  // Of each candidate: row of its particle, hits of it without those of its daughters, all hits, and those of
+  // the particle's first half turn. An XV point counts as two hits.
+  std::vector<std::int64_t> particle, own, hits, found;
+  std::vector<std::int64_t>
+      left;  // X and V clusters and wire hits of each particle's first half turn, at least 1
+};
+
+// Throws std::invalid_argument where a hit of a candidate counts a row that is not there.
+void check_rows(const MatchInput& input);
+
+// Of several particles with as many hits a candidate belongs to the first.
+MatchOutput match_hits(const MatchInput& input);
+
+struct HitsOfParticles {
+  std::vector<std::int64_t> candidate, row;
+  std::vector<std::int8_t> view;
+};
+
+// The hits of each candidate from the beam line outward: clusters by layer, then wire hits by layer, those of
+// a layer in the order of their tables. `candidates`: of each particle. Hits of daughters and of other half
+// turns than the first are left out. `clusters`: rows of the clusters that count.
+struct AssignInput {
+  NumberedRows particles, truths, wire_truths;
+  Links candidates;
+  Links clusters;
+  Links cluster_truth, wire_truth;
+  std::span<const std::int8_t> cluster_view;
+  std::span<const std::int32_t> cluster_layer, wire_layer;
+};
+// Throws std::invalid_argument where `clusters` counts a row that is not there.
+HitsOfParticles assign_hits(const AssignInput& input);
+
+}  // namespace cgemit
