@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import cgemit as cg
 from cgemit.draw.detector import draw_rz
+from cgemit.draw.style import mathematical
 from pages.page import Found, Numbers, Page, table
 
 PRESETS = (
@@ -19,8 +20,8 @@ PRESETS = (
 )
 MOMENTA = (1.0, 10.0)
 
-#: Quantity -> its name in a picture and its unit.
-QUANTITIES = {"p": ("$\\sigma(p)/p$", "%"), "dr": ("$\\sigma(d_\\rho)$", "um"), "dz": ("$\\sigma(d_z)$", "um")}
+#: Quantity -> its name and unit.
+QUANTITIES = {"p": ("σ(p)/p", "%"), "dr": ("σ(d_ρ)", "µm"), "dz": ("σ(d_z)", "µm")}
 #: Fits to the full simulation of ePIC (Geant4 and ACTS, true seeds) in the card 2ndDET_cards/delphes_card_ePIC.tcl
 #: of github.com/delphes/delphes. Pseudorapidities -> quantity -> a and b: a (+) b p for p, a (+) b/pT for others.
 EPIC = {
@@ -93,7 +94,7 @@ def blocks(found: Found) -> dict[str, str]:
     for name in PRESETS:
         one, ten = (row for row in found["expected"].rows if row.preset == name)
         impact = [f"{row.dr:.3g}, {row.dz:.3g}" for row in (one, ten)]
-        lines.append([f"`{name}`", *impact, f"{one.p:.2g}, {ten.p:.2g}"])
+        lines.append([f"`{name}`", *impact, ", ".join(f"{row.p:#.2g}".rstrip(".") for row in (one, ten))])
     of_epic = ["`epic-like` / published", *(f"{p:g} GeV/c" for p in EPIC_MOMENTA)]
     ratios = []
     for low, high in EPIC:
@@ -130,7 +131,7 @@ def draw_published(found: Found) -> Figure:
                 [row.momentum for row in rows], [row.expected for row in rows], mark, color=color, mfc="white",
                 label=f"epic-like, {where}",
             )  # fmt: skip
-        plot.set(xscale="log", xlabel="p (GeV/c)", ylabel=f"{name} ({unit.replace('um', 'µm')})", ylim=(0, None))
+        plot.set(xscale="log", xlabel="p (GeV/c)", ylabel=f"{mathematical(name)} ({unit})", ylim=(0, None))
         plot.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
         plot.minorticks_off()
         plot.grid(alpha=0.3)
