@@ -18,7 +18,7 @@ from cgemit.analysis.curves import Line
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.draw.curves import draw_curves
 from cgemit.draw.style import style
-from pages import covariance, geant4, paper, performance
+from pages import covariance, geant4, paper, performance, presets
 from pages.page import ROOT, Found, Page
 
 DETECTORS = ("besiii-cgem-design", "besiii-idc")
@@ -77,12 +77,14 @@ def blocks(found: Found) -> dict[str, str]:
     faster = [row.acts_us / row.us for row in fits if row.case.startswith("1 GeV")]
     ratios = [row.ratio for row in covariance.PAGE.read()["ratios"].rows]
     study = {row.id: row for row in paper.PAGE.read()["study"].rows}
+    epic = [row for row in presets.PAGE.read()["epic"].rows if row.high <= 0.5]
     return {
         "angle": span([row.value / row.reference for row in slabs if row.quantity == "q68_mrad"]),
         "loss": span([row.value / row.reference for row in slabs if row.quantity == "loss_kev_q50"]),
         "speed": f"{min(faster):.0f} to {max(faster):.0f}",
         "ratios": span(np.percentile(ratios, [2.5, 97.5]).tolist()),
         "points": f"{len(ratios)}",
+        "epic": span([row.expected / row.published for row in epic]),
         "dr": f"{study['sigma_dr'].value:.0f}",
         "dz": f"{study['sigma_dz'].value:.2f}",
         "p": f"{study['sigma_p'].value:.1f}",
