@@ -257,7 +257,7 @@ def print_memory(events: int, residuals: bool) -> None:
 
 
 def measure_memory(_share: float) -> Numbers:
-    """Return what more muons need, in processes of their own; at the end of a run the tables exist twice."""
+    """Return what more muons need, in processes of their own, with all tables joined."""
     rows = []
     for case, residuals in MEMORY_CASES.items():
         found = []

@@ -4,7 +4,6 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
-#include <utility>
 
 namespace cgemit {
 namespace {
@@ -134,40 +133,59 @@ MatchOutput match_hits(const MatchInput& in) {
 }
 
 HitsOfParticles assign_hits(const AssignInput& in) {
-  struct Place {
-    std::int64_t candidate;
-    std::int32_t layer;
-    std::int8_t view;
-    std::int64_t row;
-  };
+  const std::vector<Owner> of_truth = owners(in.particles, in.truths),
+                           of_crossing = owners(in.particles, in.wire_truths);
   const auto candidate_of = [&](const Owner& owner) {
     return owner.row < 0 || owner.other ? -1 : in.candidates[static_cast<std::size_t>(owner.row)];
   };
-  std::vector<Place> hits;
-  hits.reserve(in.clusters.size() + in.wire_truth.size());
-  const std::vector<Owner> of_truth = owners(in.particles, in.truths),
-                           of_crossing = owners(in.particles, in.wire_truths);
-  for (const std::int64_t row : in.clusters) {
-    check_row(row, in.cluster_truth.size());
-    const auto at = static_cast<std::size_t>(row);
-    const std::int64_t candidate = candidate_of(behind(of_truth, in.cluster_truth[at]));
-    if (candidate >= 0) hits.push_back({candidate, in.cluster_layer[at], in.cluster_view[at], row});
-  }
-  for (std::size_t at = 0; at < in.wire_truth.size(); ++at) {
-    const std::int64_t candidate = candidate_of(behind(of_crossing, in.wire_truth[at]));
-    if (candidate >= 0)
-      hits.push_back({candidate, in.wire_layer[at], wire_view, static_cast<std::int64_t>(at)});
-  }
-  const auto outward = [](const Place& a, const Place& b) {
-    const auto key = [](const Place& one) { return std::pair(one.view == wire_view, one.layer); };
-    return a.candidate != b.candidate ? a.candidate < b.candidate : key(a) < key(b);
+  for (const std::int64_t row : in.clusters) check_row(row, in.cluster_truth.size());
+  for (const std::int64_t candidate : in.candidates)
+    if (candidate >= 0) check_row(candidate, in.candidates.size());
+  // Calls f(candidate, row, is wire) for each hit that a candidate gets, clusters first.
+  const auto each = [&](auto&& f) {
+    for (const std::int64_t row : in.clusters) {
+      const std::int64_t link = in.cluster_truth[static_cast<std::size_t>(row)];
+      if (const auto candidate = candidate_of(behind(of_truth, link)); candidate >= 0)
+        f(candidate, row, false);
+    }
+    for (std::size_t row = 0; row < in.wire_truth.size(); ++row)
+      if (const auto candidate = candidate_of(behind(of_crossing, in.wire_truth[row])); candidate >= 0)
+        f(candidate, static_cast<std::int64_t>(row), true);
   };
-  std::ranges::stable_sort(hits, outward);
+  std::vector<std::size_t> ends;  // behind the hits of each candidate
+  each([&](std::int64_t candidate, std::int64_t, bool) {
+    const auto number = static_cast<std::size_t>(candidate);
+    if (number >= ends.size()) ends.resize(number + 1, 0);
+    ++ends[number];
+  });
+  const std::size_t total = std::reduce(ends.begin(), ends.end());
+  std::exclusive_scan(ends.begin(), ends.end(), ends.begin(), std::size_t{0});
+  struct Place {
+    std::int64_t row;
+    std::int32_t layer;
+    bool wire;
+  };
+  const auto outward = [](const Place& a, const Place& b) {
+    return a.wire != b.wire ? b.wire : a.layer < b.layer;
+  };
+  std::vector<Place> hits(total);
+  each([&](std::int64_t candidate, std::int64_t row, bool wire) {
+    std::size_t& end = ends[static_cast<std::size_t>(candidate)];
+    const auto at = static_cast<std::size_t>(row);
+    hits[end++] = {row, wire ? in.wire_layer[at] : in.cluster_layer[at], wire};
+  });
   HitsOfParticles out;
-  for (const Place& hit : hits) {
-    out.candidate.push_back(hit.candidate);
-    out.row.push_back(hit.row);
-    out.view.push_back(hit.view);
+  out.candidate.reserve(total);
+  out.row.reserve(total);
+  out.view.reserve(total);
+  for (std::size_t candidate = 0, first = 0; candidate < ends.size(); first = ends[candidate++]) {
+    const auto mine = std::span(hits).subspan(first, ends[candidate] - first);
+    if (!std::ranges::is_sorted(mine, outward)) std::ranges::stable_sort(mine, outward);
+    for (const Place& hit : mine) {
+      out.candidate.push_back(static_cast<std::int64_t>(candidate));
+      out.row.push_back(hit.row);
+      out.view.push_back(hit.wire ? wire_view : in.cluster_view[static_cast<std::size_t>(hit.row)]);
+    }
   }
   return out;
 }

@@ -52,8 +52,8 @@ struct HitsOfParticles {
 };
 
 // The hits of each candidate from the beam line outward: clusters by layer, then wire hits by layer, those of
-// a layer in the order of their tables. `candidates`: of each particle. Hits of daughters and of other half
-// turns than the first are left out. `clusters`: rows of the clusters that count.
+// a layer in the order of their tables. `candidates`: of each particle, below their number. Hits of daughters
+// and of other half turns than the first are left out. `clusters`: rows of the clusters that count.
 struct AssignInput {
   NumberedRows particles, truths, wire_truths;
   Links candidates;
