@@ -15,7 +15,7 @@
 #
 # `cg.analytic` returns the covariance of a track in microseconds: which resolution a tracker reaches, what makes it,
 # and what a change of each number of the design does to it. Where a kernel runs, sliders change the design; elsewhere
-# the figures show the preset. Formulas are in `docs/methods/analytic.md`.
+# the figures show the preset. Formulas are on [their page](../docs/methods/analytic.md).
 
 # %%
 import numpy as np
@@ -41,7 +41,7 @@ for p, dr, dz, sp in zip(momenta, covariance.sigma_dr, covariance.sigma_dz, cova
 
 
 # %%
-def curves(*designs, quantity="dr", label="σ(d_ρ)  (µm)"):
+def curves(*designs, quantity="dr", label=r"$\sigma(d_\rho)$  (µm)"):
     """Draw a resolution against momentum for some designs."""
     picture = cg.draw.Picture(figsize=(6.4, 4.0))
     axes = picture.subplots()
@@ -57,7 +57,7 @@ def curves(*designs, quantity="dr", label="σ(d_ρ)  (µm)"):
 curves(detector, cg.load("besiii-idc"))
 
 # %%
-curves(detector, cg.load("besiii-idc"), quantity="dz", label="σ(d_z)  (mm)")
+curves(detector, cg.load("besiii-idc"), quantity="dz", label=r"$\sigma(d_z)$  (mm)")
 
 # %% [markdown]
 # The CGEM inner tracker measures z with strips at a large stereo angle: its $\sigma(d_z)$ is less than half of that of

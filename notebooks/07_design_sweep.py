@@ -14,8 +14,8 @@
 # # A design question
 #
 # How would BESIII trade radii, pitch and material of its CGEM layers for $\sigma(d_\rho)$, $\sigma(p)$ and the number
-# of channels? The answer takes four steps: vary, sweep, optimize, confirm (`docs/how-to/design_study.md`). Muons fly at
-# cos(theta) = 0; $d_\rho$ and $d_z$ are quoted at 0.3 GeV/c, where scattering counts, p at 1 GeV/c.
+# of channels? The answer takes four steps: vary, sweep, optimize, confirm ([how to](../docs/how-to/design_study.md)).
+# Muons fly at cos(theta) = 0; $d_\rho$ and $d_z$ are quoted at 0.3 GeV/c, where scattering counts, p at 1 GeV/c.
 
 # %%
 import cgemit as cg

@@ -15,7 +15,8 @@
 #
 # Until here, hits were assigned to tracks by truth. `finder="ckf"` finds tracks from clusters and wire hits alone. This
 # notebook looks at one event with background, measures the efficiency, and finds K_S mesons by their mass. Methods are
-# in `docs/methods/find.md`, `background.md`, `samples.md` and `vertex.md`.
+# in [finding](../docs/methods/find.md), [background](../docs/methods/background.md),
+# [samples](../docs/methods/samples.md) and [vertices](../docs/methods/vertex.md).
 
 # %%
 import numpy as np
