@@ -197,6 +197,16 @@ def test_barrels_see_missing_matter(name: str, thinner: dict[str, str]) -> None:
     assert found > 1.06 * sigma[1]
 
 
+def test_the_finder_keeps_hits_that_are_finer_than_its_first_pass_is_straight() -> None:
+    """Pixels of 5 um before a CGEM: the second pass begins up to 0.1 mm beside them, since a circle is no line."""
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.705, -0.695))
+    found, true = (
+        cg.run("besiii-pixel", gun, 4000, 4, settings=QUIET, readout="gaussian", finder=finder).tracks["n_clusters"]
+        for finder in ("ckf", "truth")
+    )
+    assert true.sum() - found.sum() <= 2
+
+
 @pytest.mark.parametrize("remove", [[], ["layer.TOF"]])
 def test_a_barrel_beside_its_published_full_simulation(remove: list[str]) -> None:
     """The barrel of ePIC with Geant4 and ACTS; without its strips at 646 mm momenta at 20 GeV/c are wrong."""
