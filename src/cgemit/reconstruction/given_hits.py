@@ -378,6 +378,8 @@ def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) ->
     wrong = np.flatnonzero((view < HIT_X) | (view > XV_CLUSTER))
     if len(wrong):
         problems.append(f"clusters row {wrong[0]}: view: got {view[wrong[0]]}, expected 0 (X), 1 (V) or 2 (XV)")
+    if np.any(view == XV_CLUSTER) and not ({"err_phi", "err_z"} <= has or {"err_x", "err_v"} <= has or "cov" in has):
+        problems.append("clusters: got points without errors; expected err_phi and err_z, cov, or err_x and err_v")
     if n and not detector.layers:
         problems.append(f"clusters: got {n} rows; expected none, {detector.name} has no layers of clusters")
     if problems:

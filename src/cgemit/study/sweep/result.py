@@ -14,7 +14,7 @@ import numpy as np
 
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import jackknife
-from cgemit.base.files import SUMMARY, new_file
+from cgemit.base.files import SUMMARY, new_file, package
 from cgemit.base.validate import is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.record import versions
@@ -139,10 +139,9 @@ class Sweep(TidyResult):
         Raises
         ------
         ValueError
-            If the space is no grid.
+            If the space is no grid, or xarray is not installed.
         """
-        import xarray
-
+        xarray = package("xarray")
         if self.space.kind != "grid":
             raise ValueError(f"to_xarray: got a space of kind {self.space.kind!r}, expected a grid")
         here = np.array(self.columns["variant"]) > 0
