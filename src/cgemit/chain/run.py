@@ -15,7 +15,6 @@ from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.files import new_folder
 from cgemit.base.validate import check_numbers
 from cgemit.chain.executor import (
-    MANY,
     PROBE,
     PROBED,
     Answer,
@@ -25,6 +24,7 @@ from cgemit.chain.executor import (
     at_a_time,
     check_chunk,
     check_disk,
+    check_memory,
     chunk_for,
 )
 from cgemit.chain.match import match
@@ -190,7 +190,8 @@ def run(
     workers = Workers.of(workers)
     out = Output(output) if isinstance(output, str | os.PathLike) else output
     job, n_events = _checked(detector, gun, n, seed, settings, readout, fit_detector, finder, until, keep, out, workers)
-    chunk = chunk_for(n_events, workers)
+    in_event = len(job.given or ()) / max(n_events, 1) if job.source is None else job.source.multiplicity
+    chunk = chunk_for(n_events, workers, in_event)
     tasks = [(job, first, min(chunk, n_events - first)) for first in range(0, max(n_events, 1), chunk)]
     other = None if job.fit_detector == job.detector else job.fit_detector
     roles = detectors_of(job.detector, other)
@@ -205,17 +206,19 @@ def run(
             timings=timings, transported=transported,
         )  # fmt: skip
 
-    if min(chunk, n_events) > PROBED:
+    if n_events > PROBED:
         sample = _chunk(job, 0, PROBE)
         check_chunk(sample.sizes, sample.events, min(chunk, n_events), min(len(tasks), at_a_time(workers)))
+        if out is None:
+            check_memory(sample.sizes, set(sample.tables), sample.events, n_events)
     if out is None:
-        parts = answers(_chunk, tasks, workers, None if len(tasks) <= MANY else n_events)
+        parts = answers(_chunk, tasks, workers)
         made = [totals.add(answer) for answer in parts]
         kept = [{name: tables[name] for name in TABLES if name in tables} for tables in made]
         return result(JoinedTables(kept, gaps=job.given is not None, meta=meta))
     with new_folder(out.folder, overwrite=out.overwrite) as folder:
         writer = PartsWriter(folder, out.format, gaps=job.given is not None)
-        for answer in answers(_chunk, tasks, workers, None, pending=True):
+        for answer in answers(_chunk, tasks, workers, pending=True):
             tables = totals.add(answer)
             if writer.add({name: tables[name].with_meta(**meta) for name in TABLES if name in tables}):
                 check_disk(folder, writer.size, writer.events, n_events)

@@ -60,6 +60,11 @@ class Guns:
 
     guns: tuple[Source, ...]
 
+    @property
+    def multiplicity(self) -> int:
+        """Most particles in an event."""
+        return sum(gun.multiplicity for gun in self.guns)
+
     def __add__(self, other: Source | Guns) -> Guns:
         """Return these sources and another one, or others, together."""
         if not isinstance(other, Source | Guns):

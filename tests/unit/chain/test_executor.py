@@ -42,21 +42,25 @@ def test_two_threads_on_one_detector(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("n", "workers", "size"),
+    ("n", "workers", "particles", "size"),
     [
-        (0, Workers(threads=2), 250),
-        (300, Workers(threads=2), 250),
-        (1000, Workers(threads=2), 500),
-        (5000, Workers(threads=2), 834),
-        (5000, Workers(threads=1), 1000),
-        (20_000, Workers(threads=2), 1000),
-        (5000, Workers(threads=64), 250),
-        (60, Workers(threads=2, chunk=20), 20),
+        (0, Workers(threads=2), 1, 250),
+        (300, Workers(threads=2), 1, 250),
+        (1000, Workers(threads=2), 1, 500),
+        (20_000, Workers(threads=2), 1, 3334),
+        (20_000, Workers(threads=1), 1, 4000),
+        (64_000, Workers(threads=2), 1, 4000),
+        (64_000, Workers(threads=2), 4, 1000),
+        (64_000, Workers(threads=2), 64, 250),
+        (64_000, Workers(threads=2), 0, 4000),
+        (5000, Workers(threads=64), 1, 250),
+        (20_000, Workers(threads=2, chunk=1000), 64, 1000),
+        (60, Workers(threads=2, chunk=20), 1, 20),
     ],
 )
-def test_threads_have_equally_many_chunks(n: int, workers: Workers, size: int) -> None:
+def test_threads_have_equally_many_chunks(n: int, workers: Workers, particles: float, size: int) -> None:
     """Unless chunks were as small as asked for already, or smaller than is worth it."""
-    assert chunk_for(n, workers) == size
+    assert chunk_for(n, workers, particles) == size
     if size > 250:
         assert -(-n // size) % workers.threads == 0
 

@@ -54,7 +54,9 @@ void check(const WireTruthColumns& truths, const Detector& detector, const std::
 // Linear interpolation between the points of the table, and extrapolation beyond the outermost ones.
 double drift_time(const WireReadout& readout, double drift) {
   const auto& x = readout.xt_distance;
-  const auto above = std::upper_bound(x.begin() + 1, x.end() - 1, drift) - x.begin();
+  // Counting the points up to there has no branches: a search among ten points takes twice as long.
+  std::size_t above = 1;
+  for (std::size_t k = 1; k + 1 < x.size(); ++k) above += x[k] <= drift;
   const double share = (drift - x[above - 1]) / (x[above] - x[above - 1]);
   return readout.xt_time[above - 1] + share * (readout.xt_time[above] - readout.xt_time[above - 1]);
 }
