@@ -217,14 +217,15 @@ def covariance_at(
     readout = digitize.readout
     warn_of_losses(detector, readout)
     hits = _hit_model(detector, clusterer_of(readout), digitize.reveal_sides, fit)
-    sample, tracks = _tracks(points, detector, hits, fit, threads)
+    _, tracks = _tracks(points, detector, hits, fit, threads)
     if points.at_origin:
         columns = tracks.run(budget=False)
     else:
         tracks, columns = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
-    # Other detectors share points and sample: whoever changes these arrays changes copies.
-    p, cos_theta, phi, radius = (one.copy() for one in (sample.p, sample.cos_theta, points.phi[0], points.radius))
-    return Covariance(detector, points.particle, readout, p, cos_theta, phi, radius, tracks, columns)
+    p, cos_theta = (np.asarray(0.5 * (low + high)) for low, high in (points.p, points.cos_theta))
+    # Other detectors share points: whoever changes these arrays changes copies.
+    phi, radius = points.phi[0].copy(), points.radius.copy()
+    return Covariance(detector, points.particle, readout, p, cos_theta, phi, radius, points, tracks, columns)
 
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:

@@ -86,7 +86,7 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
         axes.set(xlim=(p[0], p[-1]), ylim=(0, 100), xlabel="p  (GeV/c)")
         symbol = mathematical(QUANTITIES[budget.quantity].symbol)
         axes.set_ylabel(f"share of the variance of {symbol}  (%)")
-        axes.set_title(plain(f"{budget.detector}, {budget.particle}, cos θ = {budget.cos_theta[0]:.3g}"), loc="left")
+        axes.set_title(plain(f"{budget.detector}, {budget.particle}, cos θ = {budget.points.texts(0)[1]}"), loc="left")
         handles, labels = axes.get_legend_handles_labels()
         # From top to bottom, as the areas lie.
         axes.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
@@ -149,15 +149,18 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         axes.set_yticks(np.arange(len(names)), names)
         axes.set(ylim=(len(names) - 0.4, -0.6), xlim=(0, 1.22 * left.max()))
         axes.set_xlabel(f"variance of {mathematical(QUANTITIES[first.quantity].symbol)}  ({unit}²)")
-        p, cosine = float(first.p.ravel()[0]), float(first.cos_theta.ravel()[0])
-        axes.set_title(
-            plain(f"{first.detector}, {first.particle}, p = {p:.4g} GeV/c, cos θ = {cosine:.3g}"), loc="left"
-        )
+        axes.set_title(_about(first, 0), loc="left")
         axes.tick_params(axis="y", length=0)
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
         right = 1 - 1.4 / width
         picture.subplots_adjust(left=before / width, right=right, top=1 - 0.35 / tall, bottom=0.55 / tall)
     return picture
+
+
+def _about(result: Budget | Sensitivity, point: int) -> str:
+    """Return detector, particle and a point as a title."""
+    p, cosine = result.points.texts(point)
+    return plain(f"{result.detector}, {result.particle}, p = {p} GeV/c, cos θ = {cosine}")
 
 
 def _is_count(value: object, least: int = 1) -> bool:
@@ -240,9 +243,7 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
         axes.axvline(0, color=COLORS["data"], lw=0.8)
         axes.set_yticks(np.arange(len(rows)), [plain(sensitivity.keys[row]) for row in rows])
         axes.set(ylim=(len(rows) - 0.4, -0.6), xlabel="change of the resolution for 1 % more  (%)")
-        p, cosine = float(sensitivity.p.ravel()[point]), float(sensitivity.cos_theta.ravel()[point])
-        title = f"{sensitivity.detector}, {sensitivity.particle}, p = {p:.4g} GeV/c, cos θ = {cosine:.3g}"
-        axes.set_title(plain(title), loc="left", x=-0.45)
+        axes.set_title(_about(sensitivity, point), loc="left", x=-0.45)
         axes.tick_params(axis="y", length=0)
         axes.legend(loc="lower right")  # the shortest bars are below
         grid(axes)

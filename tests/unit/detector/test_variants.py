@@ -150,8 +150,10 @@ def test_patterns_remove_every_part_that_they_match() -> None:
     assert [one.number for one in DESIGN.drift_chamber.layers if one not in wires] == [9]
     assert problems({"remove": ["cgem.Q*", "cgm.*", "cgem.L9"]}) == [
         'remove: got "cgem.Q*", which matches nothing, expected a pattern for L1, L2, L3',
-        'remove: got "cgm.*", which matches nothing, '
-        "expected a pattern for field, drift_chamber, beam_pipe, cgem, layer, walls, background",
+        (
+            'remove: got "cgm.*", which matches nothing, '
+            "expected a pattern for field, drift_chamber, beam_pipe, cgem, layer, walls, background"
+        ),
         'remove: got "cgem.L9", expected a part of the base; did you mean "cgem.L3"?',
     ]
 
