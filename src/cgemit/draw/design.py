@@ -333,24 +333,36 @@ def _ticks(axes: Axes, values: Sequence[Any], axis: str) -> Any:
 
 
 def _scan(columns: Columns, parameters: tuple[str, ...], quantity: str, values: Any, drawn: Any) -> Picture:
-    """Draw a quantity against one key, a line for each point; the base is an open marker."""
+    """Draw a quantity against one key, a line for each point; the base is an open marker, no result a cross below."""
     picture, (axes,) = new_picture(1, 1, (6.2, 4.4))
     x = _ticks(axes, columns[parameters[0]], "x")
     errors = _errors(columns, quantity)
     variant = np.array(columns["variant"])
+    bases = drawn & (variant == 0) & np.isfinite(x)
     for (text, here), marker, colour in zip(points(columns), cycle(MARKERS), cycle(SERIES), strict=False):
         rows = np.flatnonzero(here & drawn & (variant > 0))
         rows = rows[np.argsort(x[rows], kind="stable")]
         bars = errors[rows] if errors is not None else None
         axes.errorbar(x[rows], values[rows], bars, fmt=f"{marker}-", ms=4.5, lw=1.2, color=colour, label=text or None)
-        base = np.flatnonzero(here & drawn & (variant == 0) & np.isfinite(x))
+        base = here & bases
         axes.plot(x[base], values[base], marker, ms=9, mfc="none", mec=colour, mew=1.3)
-    axes.plot([], [], "o", ms=9, mfc="none", mec=COLORS["text"], label="base")
+    if bases.any():
+        axes.plot([], [], "o", ms=9, mfc="none", mec=COLORS["text"], label="base")
+    without = (variant > 0) & ~np.isin(variant, variant[drawn])
+    _crosses(axes, x, np.zeros(len(x)), columns, without, transform=axes.get_xaxis_transform(), clip_on=False)
     axes.set(xlabel=label(parameters[0]), ylabel=label(quantity))
     grid(axes)
-    axes.legend()
+    if legend_entries([axes]):
+        axes.legend()
     picture.subplots_adjust(left=0.13, right=0.97, top=0.96, bottom=0.13)
     return picture
+
+
+def _crosses(axes: Axes, x: Floats, y: Floats, columns: Columns, rows: Any, **options: Any) -> None:
+    """Draw a cross for each of some rows, which have no result, with how they ended as the label."""
+    ends = dict.fromkeys(status for status, here in zip(columns["status"], rows, strict=True) if here)
+    text = ", ".join("no result" if status == "ok" else status for status in ends)
+    axes.plot(x[rows], y[rows], "x", color=COLORS["wire"], ms=7, label=text or None, **options)
 
 
 def _errors(columns: Columns, quantity: str) -> Any:
@@ -360,7 +372,7 @@ def _errors(columns: Columns, quantity: str) -> Any:
 
 
 def _map(columns: Columns, parameters: tuple[str, ...], quantity: str, values: Any, drawn: Any) -> Picture:
-    """Draw a quantity over two keys, a panel for each point; variants that cannot be built are crosses."""
+    """Draw a quantity over two keys, a panel for each point; variants without a result are crosses."""
     panels = points(columns)
     across = min(3, len(panels))
     down = -(-len(panels) // across)
@@ -369,16 +381,18 @@ def _map(columns: Columns, parameters: tuple[str, ...], quantity: str, values: A
     variant = np.array(columns["variant"])
     for axes, (text, here) in zip(every, panels, strict=False):
         x, y = (_ticks(axes, columns[name], axis) for name, axis in zip(parameters, "xy", strict=True))
-        rows, wrong = here & drawn & (variant > 0), here & ~drawn & (variant > 0)
+        rows = here & drawn & (variant > 0)
         _cells(axes, x[here & (variant > 0)], y[here & (variant > 0)], x[rows], y[rows], values[rows], label(quantity))
-        axes.plot(x[wrong], y[wrong], "x", color=COLORS["wire"], ms=7, label="not possible" if wrong.any() else None)
-        base = here & drawn & (variant == 0)
-        axes.plot(x[base], y[base], "o", ms=10, mfc="none", mec=COLORS["fit"], mew=1.6, label="base")
+        _crosses(axes, x, y, columns, here & ~drawn & (variant > 0))
+        base = here & drawn & (variant == 0) & np.isfinite(x) & np.isfinite(y)
+        text_of_base = "base" if base.any() else None
+        axes.plot(x[base], y[base], "o", ms=10, mfc="none", mec=COLORS["fit"], mew=1.6, label=text_of_base)
         axes.set(xlabel=label(parameters[0]), ylabel=label(parameters[1]), title=text)
     for axes in every[len(panels) :]:
         axes.set_visible(False)
-    entries = legend_entries(every[:1])
-    picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=2)
+    entries = legend_entries(every)
+    if entries:
+        picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=len(entries))
     return picture
 
 

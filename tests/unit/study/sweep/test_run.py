@@ -291,7 +291,11 @@ def test_tables_are_written_and_read_back(tmp_path: Path) -> None:
     assert cg.load(tmp_path / "detector.toml").content_hash == DESIGN.content_hash
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["status"], summary["variants"]) == ({"impossible": 2, "ok": 3}, 4)
-    assert "impossible" in repr(found)
+    head, base, _, overlap = repr(found).splitlines()[1:5]
+    assert (head.split()[-1], base.split()[-1]) == ("problems", f"{channels(DESIGN)['x0 (%)']:.5g}")
+    assert overlap.split()[1] == "impossible"
+    assert found.columns["problems"][2] in overlap
+    assert "problems" not in repr(sweep(DESIGN, {"cgem.*.foils": [2]}, evaluate=channels))
     assert "<table>" in found._repr_html_()
 
 
