@@ -154,7 +154,8 @@ def analytic(
     fit : FitSettings or None
         Energy loss, screening and cluster errors that the fit assumes.
     samples : int or None
-        Tracks that are averaged at each point. None: 128, or 1 if nothing varies.
+        Tracks that are averaged at each point. None: 128, or 1 if nothing varies. Curves against momentum are smoother
+        if this number shares no factor with the numbers of cells of the drift chamber (127).
     threads : int or None
         None: all cores.
 

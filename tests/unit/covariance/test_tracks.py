@@ -433,6 +433,23 @@ def test_no_readout_is_printed_without_cgem_layers() -> None:
     assert repr(cg.analytic("besiii-idc")).splitlines()[0] == "<besiii-idc, mu-"
 
 
+def test_curves_have_steps_where_azimuths_and_cells_have_a_common_factor() -> None:
+    """The same for every readout; all tracks cross layers of 128 and 256 cells at the same position in a cell."""
+    p = np.linspace(0.5, 2.0, 76)
+
+    def scatter(samples: int, readout: str) -> tuple[float, float]:
+        found = cg.analytic(DESIGN, "mu-", p, samples=samples, readout=readout)
+        second = np.diff(np.log(found.sigma_p), 2)  # of independent errors it has 6 times their variance
+        return float(np.std(second)) / 6**0.5, float(np.abs(np.diff(found.n_wires)).max())
+
+    for readout in ("binary", "gaussian"):
+        (noise, jump), (less, smaller) = scatter(128, readout), scatter(127, readout)
+        assert 0.004 < noise < 0.005
+        assert less < 0.0004
+        assert jump > 0.9
+        assert smaller < 0.3
+
+
 def test_every_problem_is_listed() -> None:
     with pytest.raises(ValueError, match=r"p: got -1, expected positive.*\n.*cos_theta.*\n.*samples") as error:
         cg.analytic(DESIGN, "mu-", -1, 1.5, samples=0)
