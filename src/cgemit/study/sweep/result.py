@@ -8,7 +8,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -234,7 +233,7 @@ class Sweep(TidyResult):
 
 
 def _cell(value: Any) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else shorten(str(value), _LONGEST_CELL, placeholder=" ...")
+    return f"{value:.5g}" if isinstance(value, float) else " ".join(str(value).split())[:_LONGEST_CELL]
 
 
 def _leading(space: Space, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Any]]:

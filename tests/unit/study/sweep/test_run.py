@@ -299,6 +299,16 @@ def test_tables_are_written_and_read_back(tmp_path: Path) -> None:
     assert "<table>" in found._repr_html_()
 
 
+def test_the_message_of_a_failure_is_one_line_of_the_printed_table() -> None:
+    def fails(detector: Detector) -> dict[str, Any]:
+        if detector.cgem["L1"].foils == 2:
+            raise ValueError("first line\n  second line" + 200 * "x")
+        return {"foils": 3}
+
+    last = repr(sweep(DESIGN, {"cgem.*.foils": [2]}, evaluate=fails)).splitlines()[-1]
+    assert last.partition("ValueError: ")[2] == f"first line second line{200 * 'x'}"[: 120 - len("ValueError: ")]
+
+
 class Counting(Executor):
     """Runs what is submitted at once, and counts it; interrupts like Ctrl-C after some."""
 
