@@ -45,9 +45,9 @@ def run_example(code: str, folder: Path) -> tuple[str, dict[str, object]]:
 
 
 def printed() -> str:
-    """Return what the example prints before it simulates."""
+    """Return what the example prints."""
     with tempfile.TemporaryDirectory() as folder:
-        return run_example(example().partition("\nresult = ")[0], Path(folder))[0]
+        return run_example(example(), Path(folder))[0]
 
 
 def resolutions(found: Found) -> Figure:

@@ -7,7 +7,9 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from pages.page import Found, Page, table
 from pages.performance import designs, fits, operations, peers, simulation, stages
@@ -140,10 +142,18 @@ def draw_stages(found: Found) -> Figure:
               for n in names]  # fmt: skip
     axes.set_xticks(np.arange(len(names)), labels, fontsize=8)
     axes.set(yscale="log", ylabel="us per muon")
+    _plain_numbers(axes)
     axes.grid(axis="y", alpha=0.3)
     axes.legend(ncols=4, frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.tight_layout()
     return figure
+
+
+def _plain_numbers(axes: Axes) -> None:
+    """Label a logarithmic vertical axis with 1, 2, 5, 10 ..."""
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def draw_chain(found: Found) -> Figure:
@@ -154,6 +164,7 @@ def draw_chain(found: Found) -> Figure:
         style: dict[str, Any] = {"color": "black", "lw": 2} if name == "all" else {"lw": 1.3}
         axes.plot([row.events for row in rows], [getattr(row, name) for row in rows], "o-", ms=4, label=name, **style)
     axes.set(xscale="log", yscale="log", xlabel="muons", ylabel="us per muon, one thread")
+    _plain_numbers(axes)
     axes.grid(alpha=0.3)
     axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     figure.tight_layout()

@@ -17,7 +17,7 @@ from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.refine import ClusterDirection, Refinement, RefineSettings, refinements
 from cgemit.simulation.background import BackgroundSettings
 from cgemit.simulation.digitize import DIGITIZERS, DigitizeSettings, digitizer_of
-from cgemit.simulation.digitizers.digitizer import Digitizer
+from cgemit.simulation.digitizers import Digitizer
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 

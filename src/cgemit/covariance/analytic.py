@@ -154,7 +154,8 @@ def analytic(
     fit : FitSettings or None
         Energy loss, screening and cluster errors that the fit assumes.
     samples : int or None
-        Tracks that are averaged at each point. None: 128, or 1 if nothing varies.
+        Tracks that are averaged at each point, best a number without a common factor with the numbers of cells of the
+        drift chamber. None: 127, or 1 if nothing varies.
     threads : int or None
         None: all cores.
 
@@ -217,14 +218,15 @@ def covariance_at(
     readout = digitize.readout
     warn_of_losses(detector, readout)
     hits = _hit_model(detector, clusterer_of(readout), digitize.reveal_sides, fit)
-    sample, tracks = _tracks(points, detector, hits, fit, threads)
+    _, tracks = _tracks(points, detector, hits, fit, threads)
     if points.at_origin:
         columns = tracks.run(budget=False)
     else:
         tracks, columns = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
-    # Other detectors share points and sample: whoever changes these arrays changes copies.
-    p, cos_theta, phi, radius = (one.copy() for one in (sample.p, sample.cos_theta, points.phi[0], points.radius))
-    return Covariance(detector, points.particle, readout, p, cos_theta, phi, radius, tracks, columns)
+    p, cos_theta = (np.asarray(0.5 * (low + high)) for low, high in (points.p, points.cos_theta))
+    # Other detectors share points: whoever changes these arrays changes copies.
+    phi, radius = points.phi[0].copy(), points.radius.copy()
+    return Covariance(detector, points.particle, readout, p, cos_theta, phi, radius, points, tracks, columns)
 
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
@@ -239,7 +241,7 @@ def _tracks(
     points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings, threads: int | None
 ) -> tuple[Sample, Tracks]:
     """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
-    number = points.samples or (128 if hits.vary or points.vary else 1)
+    number = points.samples or (_SAMPLES if hits.vary or points.vary else 1)
     sample = sample_of(points, number, len(detector.layers))
     scatter = number > 1 and points.at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
@@ -251,6 +253,9 @@ def _tracks(
     return sample, tracks
 
 
+#: Tracks of a point. With a factor in common with the numbers of cells, such as in 128, all tracks would cross a layer at
+#: the same position in a cell: σ(p) is 14 times less accurate then.
+_SAMPLES = 127
 #: Probability of no clusters above which tracks of the same direction are sampled.
 _SAMPLED_LOSS = 1e-3
 

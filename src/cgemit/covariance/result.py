@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, UPPER, quantity_of
-from cgemit.covariance.tracks import Sample, Tracks, core_width, mean, status_of
+from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import Layer
@@ -86,13 +86,14 @@ def _parts(found: Sequence[Entries]) -> Iterator[Sequence[Entries]]:
 
 def _together(found: Sequence[Entries], quantities: Sequence[str]) -> Iterator[Widths]:
     sample, count = found[0].sample, len(found)
-    number = sample.kappa.size // sample.p.size
+    number = len(sample.phases)
+    n_points = sample.kappa.size // number
     covariance = np.stack([one.covariance for one in found])
     every = np.array([quantity_of(name).variance(covariance, sample.kappa, sample.tanl) for name in quantities])
     sigma = core_width(every.reshape(-1, number)).reshape(len(quantities), count, -1)
     status, reached = status_of(np.stack([one.status for one in found]).reshape(-1, number))
     for i in range(count):
-        points = slice(i * sample.p.size, (i + 1) * sample.p.size)
+        points = slice(i * n_points, (i + 1) * n_points)
         yield Widths(dict(zip(quantities, sigma[:, i], strict=True)), status[points], reached[points])
 
 
@@ -165,10 +166,12 @@ class Budget(Shown):
         Variances are in the square of `unit`, the quoted one.
     sources : tuple of Source
     p, cos_theta : ndarray, float64
-        Of the points.
+        Of the points; middles of ranges.
     variances : ndarray, shape of the points + (sources,) float64
         They sum to the mean variance of each point.
     detector, particle : str
+    points : Points
+        With the limits of ranges.
     """
 
     quantity: str
@@ -179,6 +182,7 @@ class Budget(Shown):
     variances: Floats
     detector: str
     particle: str
+    points: Points
 
     @property
     def total(self) -> Floats:
@@ -250,7 +254,7 @@ class Budget(Shown):
                 shown.append((f"other ({len(rest)})", float(sum(groups[name][i] for name in rest))))
             for name, value in shown:
                 share = f"{100 * value / total[i]:.1f} %"
-                rows.append([f"{self.p.ravel()[i]:.4g}", name, f"{value**0.5:.4g}", share])
+                rows.append([self.points.texts(i)[0], name, f"{value**0.5:.4g}", share])
         more = self.p.size - _SHOWN_POINTS
         if more > 0:
             rows.append([f"{more} more points", "", "", ""])
@@ -276,7 +280,7 @@ def _groups(source: Source, by: By) -> list[tuple[str, float]]:
 
 
 def budget_of(
-    tracks: Tracks, quantity: str, detector: Detector, particle: str, p: Floats, cos_theta: Floats, reached: Floats
+    tracks: Tracks, quantity: str, detector: Detector, points: Points, p: Floats, cos_theta: Floats, reached: Floats
 ) -> Budget:
     """Return the budget of a quantity for the points of some tracks.
 
@@ -285,7 +289,7 @@ def budget_of(
     tracks : Tracks
     quantity : str
     detector : Detector
-    particle : str
+    points : Points
     p, cos_theta, reached : ndarray, float64
         Of the points, as in `Covariance`.
 
@@ -310,7 +314,8 @@ def budget_of(
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = variance / np.round(reached.reshape(-1, 1) * tracks.samples)
     shape = (*p.shape, len(names))
-    return Budget(known.name, known.unit, names, p, cos_theta, variance.reshape(shape), detector.name, particle)
+    variance, about = variance.reshape(shape), (detector.name, points.particle, points)
+    return Budget(known.name, known.unit, names, p, cos_theta, variance, *about)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -329,10 +334,12 @@ class Covariance:
     readout : Readout
         Of the CGEM layers.
     p, cos_theta, phi : ndarray, float64, GeV/c, 1, rad
-        Means of the samples of each point, at the origin; `phi` (azimuth of the momentum) is NaN where it is averaged.
+        Of each point, at the origin; middles of ranges. `phi` (azimuth of the momentum) is NaN where it is averaged.
     radius : ndarray, float64, mm
         Of the cylinder; NaN at the origin. All matter inside it has acted, and none outside. The pivot is the point of
         the track there, so that dr and dz are the displacements across the flight and along the beam.
+    points : Points
+        With the limits of ranges.
     """
 
     detector: Detector
@@ -342,6 +349,7 @@ class Covariance:
     cos_theta: Floats
     phi: Floats
     radius: Floats
+    points: Points
     _tracks: Tracks
     _columns: Mapping[str, npt.NDArray[Any]]  # of the core, by track; entries of the covariance are NaN without one
 
@@ -450,7 +458,7 @@ class Covariance:
         {'measurement': 0.48, 'scattering': 0.51, 'straggling': 0.0, 'prior': 0.0}
         """
         self.only_at_origin("budget")
-        return budget_of(self._tracks, quantity, self.detector, self.particle, self.p, self.cos_theta, self.reached)
+        return budget_of(self._tracks, quantity, self.detector, self.points, self.p, self.cos_theta, self.reached)
 
     def only_at_origin(self, what: str) -> None:
         """Raise ValueError unless these are covariances at the origin; `what` is what is wanted."""
@@ -485,14 +493,16 @@ class Covariance:
         return data_frame(self.table())
 
     def __repr__(self) -> str:
-        columns = self.p, self.cos_theta, self.sigma("dr"), self.sigma("dz"), self.sigma("p"), self.status
+        columns = self.sigma("dr"), self.sigma("dz"), self.sigma("p"), self.status
         rows = [
-            f"  p {p:.4g} GeV/c, cos(theta) {c:.3g}: sigma(d_rho) {dr:.4g} um, sigma(d_z) {dz:.4g} mm, "
-            f"sigma(p) {sp:.4g} MeV/c" + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
-            for p, c, dr, dz, sp, s in zip(*(np.ravel(one) for one in columns), strict=True)
+            "  p {} GeV/c, cos(theta) {}: ".format(*self.points.texts(i))
+            + f"sigma(d_rho) {dr:.4g} um, sigma(d_z) {dz:.4g} mm, sigma(p) {sp:.4g} MeV/c"
+            + ("" if s == 0 else f" [{FitStatus(int(s)).name}]")
+            for i, (dr, dz, sp, s) in enumerate(zip(*(np.ravel(one) for one in columns), strict=True))
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
-        head = f"<{self.detector.name}, {self.particle}, readout {self.readout.name}"
+        head = f"<{self.detector.name}, {self.particle}"
+        head += f", readout {self.readout.name}" if self.detector.cgem else ""
         radii = np.unique(self.radius[~np.isnan(self.radius)])
         if len(radii):
             head += f", on cylinders of {', '.join(f'{radius:g}' for radius in radii)} mm"

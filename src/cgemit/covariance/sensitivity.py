@@ -17,7 +17,7 @@ from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.validate import NO, reader
 from cgemit.covariance.analytic import analytic, with_errors_of
 from cgemit.covariance.result import Covariance
-from cgemit.covariance.tracks import core_width
+from cgemit.covariance.tracks import Points, core_width
 from cgemit.detector import Detector, load
 from cgemit.detector.keys import once
 from cgemit.detector.parts import CgemLayer, Contents, Labelled
@@ -123,7 +123,7 @@ class Sensitivity(Shown):
     ----------
     detector, particle : str
     p, cos_theta : ndarray, float64
-        Of the points.
+        Of the points; middles of ranges.
     keys : tuple of str
         Dotted keys of the detector file.
     quantities : tuple of str
@@ -131,6 +131,8 @@ class Sensitivity(Shown):
         Percent that sigma grows by if the number grows by 1 %; NaN where the number cannot be changed.
     problems : dict of str to str
         Keys that cannot be changed, and why.
+    points : Points
+        With the limits of ranges.
     """
 
     detector: str
@@ -141,6 +143,7 @@ class Sensitivity(Shown):
     quantities: tuple[str, ...]
     values: Floats
     problems: Mapping[str, str]
+    points: Points
 
     def of(self, key: str, quantity: str) -> Floats:
         """Return the derivatives of one quantity by one number, for all points."""
@@ -172,7 +175,7 @@ class Sensitivity(Shown):
         head = ["1 % more of", *(f"sigma({name}) [%]" for name in self.quantities)]
         flat = self.values.reshape(len(self.keys), len(self.quantities), -1)[..., 0]
         rows = [[key, *(f"{x:+.3f}" for x in flat[self.keys.index(key)])] for key in self._printed()]
-        where = f"p {self.p.ravel()[0]:.4g} GeV/c, cos(theta) {self.cos_theta.ravel()[0]:.3g}"
+        where = "p {} GeV/c, cos(theta) {}".format(*self.points.texts(0))
         return f"{self.detector}, {self.particle}, {where}", head, rows
 
     def _printed(self) -> list[str]:
@@ -252,7 +255,8 @@ def sensitivity(
     problems.report("sensitivity", DetectorError)
     quantities = tuple(quantity_of(name).name for name in names)
     values, unmoved = logarithmic_slopes(base, detector, wanted, quantities)
-    return Sensitivity(detector.name, base.particle, base.p, base.cos_theta, wanted, quantities, values, unmoved)
+    at = base.p, base.cos_theta
+    return Sensitivity(detector.name, base.particle, *at, wanted, quantities, values, unmoved, base.points)
 
 
 def _check_number(detector: Detector, key: str, problems: Problems) -> None:

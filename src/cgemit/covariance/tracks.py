@@ -282,16 +282,19 @@ class Points(Part):
         """Whether the tracks of a point differ."""
         return bool(np.any(np.isnan(self.phi[0]))) or any(np.any(low != high) for low, high in (self.p, self.cos_theta))
 
+    def texts(self, number: int) -> tuple[str, str]:
+        """Return momentum (GeV/c) and cosine of one of the flattened points as text, ranges as ``-0.93 to 0.93``."""
+        p, cosine = ([f"{end.flat[number]:.4g}" for end in limits] for limits in (self.p, self.cos_theta))
+        return " to ".join(dict.fromkeys(p)), " to ".join(dict.fromkeys(cosine))
+
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """The tracks of points, (tracks,) float64 in native units, and their mean `p` and `cos_theta`, shape of the points.
+    """The tracks of points, (tracks,) float64 in native units.
 
     `phases` (samples, 2 layers) are the positions of the strips of each view.
     """
 
-    p: Floats
-    cos_theta: Floats
     psi: Floats
     kappa: Floats
     tanl: Floats
@@ -383,10 +386,7 @@ def sample_of(points: Points, number: int, layers: int) -> Sample:
     sine = np.sqrt(1 - cosine * cosine)
     kappa, tanl = (points.charge.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
     mass = np.repeat(points.mass.ravel(), number)
-    shape = points.charge.shape
-    mean_p, mean_cosine = momentum.mean(axis=1).reshape(shape), cosine.mean(axis=1).reshape(shape)
-    phases = np.ascontiguousarray(drawn[:, 3:])
-    return Sample(mean_p, mean_cosine, psi.ravel(), kappa, tanl, mass, phases)
+    return Sample(psi.ravel(), kappa, tanl, mass, np.ascontiguousarray(drawn[:, 3:]))
 
 
 def _limits(name: str, given: Any, dimension: str, problems: Problems) -> tuple[Floats, Floats]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
-from typing import Any
+from operator import attrgetter
+from typing import Any, TypeVar
 
 from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean, shown
 from cgemit.base.validate import entries
@@ -302,12 +303,12 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
     own = reader.mapping("materials", tables.get("materials", {}))
     reader.materials = read_materials(reader, library(), own)
     field = _field(reader, tables.get("field"))
-    pipe = _cylinders(reader, "beam_pipe", tables.get("beam_pipe", {}))
-    cgem = _cgem(reader, tables.get("cgem", {}))
-    layer = _measuring(reader, tables.get("layer", {}))
-    walls = _cylinders(reader, "walls", tables.get("walls", {}))
+    pipe = Labelled(_parts(reader, tables, "beam_pipe", Cylinder, "r_in"))
+    cgem = Labelled(_parts(reader, tables, "cgem", CgemLayer, "anode_radius", complete_layer))
+    layer = Labelled(_parts(reader, tables, "layer", MeasurementLayer, "radius", complete_measurement))
+    walls = Labelled(_parts(reader, tables, "walls", Cylinder, "r_in"))
     chamber = read_chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
-    levels = _background(reader, tables.get("background", {}))
+    levels = tuple(_parts(reader, tables, "background", BackgroundLevel, "label"))
     if not cgem and not layer and not chamber and not reader.baseless:
         reader.note("", "no detector", "at least one [cgem.<label>], [layer.<label>] or a [drift_chamber]")
     if problems:
@@ -403,53 +404,30 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
         values["bz"] = own
 
 
-def _cylinders(reader: Reader, group: str, raw: object) -> Labelled[Cylinder]:
-    tables = reader.mapping(group, raw)
-    found = [
-        table
-        if isinstance(table, Cylinder)
-        else Cylinder(label=label, **reader.table(f"{group}.{label}", table, Cylinder, siblings=tables))
-        for label, table in tables.items()
-    ]
-    return Labelled(sorted(found, key=lambda part: part.r_in))
+_P = TypeVar("_P", Cylinder, CgemLayer, MeasurementLayer, BackgroundLevel)
 
 
-def _background(reader: Reader, raw: object) -> tuple[BackgroundLevel, ...]:
-    tables = reader.mapping("background", raw)
-    return tuple(
-        table
-        if isinstance(table, BackgroundLevel)
-        else BackgroundLevel(
-            label=label, **reader.table(f"background.{label}", table, BackgroundLevel, siblings=tables)
-        )
-        for label, table in sorted(tables.items())
-    )
-
-
-def _cgem(reader: Reader, raw: object) -> Labelled[CgemLayer]:
-    found = []
-    tables = reader.mapping("cgem", raw)
-    for label, table in tables.items():
-        if isinstance(table, CgemLayer):
+def _parts(
+    reader: Reader,
+    tables: Mapping[str, Any],
+    group: str,
+    kind: type[_P],
+    order: str,
+    complete: Callable[[Reader, str, dict[str, Any]], None] | None = None,
+) -> list[_P]:
+    """Return the parts of a group in the order of one of their values; parts that were read before stay as they are."""
+    given = reader.mapping(group, tables.get(group, {}))
+    found: list[_P] = []
+    for label, table in given.items():
+        if isinstance(table, kind):
             found.append(table)
             continue
-        values = reader.table(f"cgem.{label}", table, CgemLayer, siblings=tables)
-        complete_layer(values)
-        found.append(CgemLayer(label=label, **values))
-    return Labelled(sorted(found, key=lambda layer: layer.anode_radius))
-
-
-def _measuring(reader: Reader, raw: object) -> Labelled[MeasurementLayer]:
-    found = []
-    tables = reader.mapping("layer", raw)
-    for label, table in tables.items():
-        if isinstance(table, MeasurementLayer):
-            found.append(table)
-            continue
-        values = reader.table(f"layer.{label}", table, MeasurementLayer, siblings=tables)
-        complete_measurement(reader, f"layer.{label}", values)
-        found.append(MeasurementLayer(label=label, **values))
-    return Labelled(sorted(found, key=lambda layer: layer.radius))
+        path = f"{group}.{label}"
+        values = reader.table(path, table, kind, siblings=given)
+        if complete:
+            complete(reader, path, values)
+        found.append(kind(label=label, **values))
+    return sorted(found, key=attrgetter(order))
 
 
 #: mm, of a sensor whose thickness is not given: a common silicon wafer.
@@ -479,7 +457,7 @@ def complete_measurement(reader: Reader, path: str, values: dict[str, Any]) -> N
     values.setdefault("length", _LENGTH * values["radius"])
 
 
-def complete_layer(values: dict[str, Any]) -> None:
+def complete_layer(_reader: Reader, _path: str, values: dict[str, Any]) -> None:
     """Add strips_x, stereo and strips_v to the values (native units) of a CGEM layer where they are missing.
 
     An `offset_v` of ``"centred"`` becomes a number.

@@ -84,14 +84,17 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
     detector : Contents
     changes : mapping of str to object
         By dotted keys, several of which may stand together, separated by commas. ``*``, ``?`` and ``[...]`` match
-        labels of parts that are not removed; a key without them has precedence.
+        labels of parts that are not removed; a key without them has precedence. They match in paths of `remove`, too.
     problems : list of Problem
         Receives every pattern that matches nothing and every relative value of something that is no number.
     """
     found: dict[str, object] = {}
     exact: dict[str, object] = {}
     removed = changes.get("remove")
-    gone = tuple(f"{path}." for path in removed) if isinstance(removed, list) else ()
+    gone: tuple[str, ...] = ()
+    if isinstance(removed, list) and all(isinstance(path, str) for path in removed):
+        paths = _removed(detector, removed, problems)
+        changes, gone = {**changes, "remove": paths}, tuple(f"{path}." for path in paths)
     for keys, value in changes.items():
         for key in keys.split(","):
             for path in matching(detector, key.strip(), problems):
@@ -99,6 +102,16 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
                     continue
                 (exact if path == key.strip() else found).update(_absolute(detector, path, value, problems))
     return found | exact
+
+
+def _removed(detector: Contents, patterns: list[str], problems: list[Problem]) -> list[str]:
+    """Return the paths of the parts that `remove` names, each once."""
+    wrong: list[Problem] = []
+    paths = list(dict.fromkeys(path for one in patterns for path in matching(detector, one, wrong)))
+    problems += [
+        one._replace(path="remove", given=f'"{one.path}", which matches nothing', unknown=False) for one in wrong
+    ]
+    return paths
 
 
 def matching(detector: Contents, pattern: str, problems: list[Problem]) -> Iterator[str]:
@@ -115,11 +128,13 @@ def matching(detector: Contents, pattern: str, problems: list[Problem]) -> Itera
 def _matched(detector: Contents, pattern: str) -> tuple[tuple[str, ...], Problem | None]:
     """Return the dotted keys that a pattern matches, or why there is none."""
     paths: list[tuple[str, Any]] = [("", _root(detector))]
-    for name in pattern.split("."):
+    parts = pattern.split(".")
+    for i, name in enumerate(parts):
         found = []
+        exact = not _is_pattern(".".join(parts[i:]))  # the name of a new part, perhaps
         for path, node in paths:
             children = _children(node)
-            names = [child for child in children if fnmatchcase(child, name)] if _is_pattern(name) else [name]
+            names = [name] if exact else [child for child in children if fnmatchcase(child, name)]
             found += [(f"{path}.{child}".lstrip("."), children.get(child)) for child in names]
         if not found:
             known = ", ".join(dict.fromkeys(child for _, node in paths for child in _children(node)))

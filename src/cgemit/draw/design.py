@@ -86,7 +86,7 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
         axes.set(xlim=(p[0], p[-1]), ylim=(0, 100), xlabel="p  (GeV/c)")
         symbol = mathematical(QUANTITIES[budget.quantity].symbol)
         axes.set_ylabel(f"share of the variance of {symbol}  (%)")
-        axes.set_title(plain(f"{budget.detector}, {budget.particle}, cos θ = {budget.cos_theta[0]:.3g}"), loc="left")
+        axes.set_title(plain(f"{budget.detector}, {budget.particle}, cos θ = {budget.points.texts(0)[1]}"), loc="left")
         handles, labels = axes.get_legend_handles_labels()
         # From top to bottom, as the areas lie.
         axes.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
@@ -149,15 +149,18 @@ def draw_budgets(budgets: Mapping[str, Budget], by: By = "part", *, most: int = 
         axes.set_yticks(np.arange(len(names)), names)
         axes.set(ylim=(len(names) - 0.4, -0.6), xlim=(0, 1.22 * left.max()))
         axes.set_xlabel(f"variance of {mathematical(QUANTITIES[first.quantity].symbol)}  ({unit}²)")
-        p, cosine = float(first.p.ravel()[0]), float(first.cos_theta.ravel()[0])
-        axes.set_title(
-            plain(f"{first.detector}, {first.particle}, p = {p:.4g} GeV/c, cos θ = {cosine:.3g}"), loc="left"
-        )
+        axes.set_title(_about(first, 0), loc="left")
         axes.tick_params(axis="y", length=0)
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
         right = 1 - 1.4 / width
         picture.subplots_adjust(left=before / width, right=right, top=1 - 0.35 / tall, bottom=0.55 / tall)
     return picture
+
+
+def _about(result: Budget | Sensitivity, point: int) -> str:
+    """Return detector, particle and a point as a title."""
+    p, cosine = result.points.texts(point)
+    return plain(f"{result.detector}, {result.particle}, p = {p} GeV/c, cos θ = {cosine}")
 
 
 def _is_count(value: object, least: int = 1) -> bool:
@@ -240,9 +243,7 @@ def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15
         axes.axvline(0, color=COLORS["data"], lw=0.8)
         axes.set_yticks(np.arange(len(rows)), [plain(sensitivity.keys[row]) for row in rows])
         axes.set(ylim=(len(rows) - 0.4, -0.6), xlabel="change of the resolution for 1 % more  (%)")
-        p, cosine = float(sensitivity.p.ravel()[point]), float(sensitivity.cos_theta.ravel()[point])
-        title = f"{sensitivity.detector}, {sensitivity.particle}, p = {p:.4g} GeV/c, cos θ = {cosine:.3g}"
-        axes.set_title(plain(title), loc="left", x=-0.45)
+        axes.set_title(_about(sensitivity, point), loc="left", x=-0.45)
         axes.tick_params(axis="y", length=0)
         axes.legend(loc="lower right")  # the shortest bars are below
         grid(axes)
@@ -332,24 +333,36 @@ def _ticks(axes: Axes, values: Sequence[Any], axis: str) -> Any:
 
 
 def _scan(columns: Columns, parameters: tuple[str, ...], quantity: str, values: Any, drawn: Any) -> Picture:
-    """Draw a quantity against one key, a line for each point; the base is an open marker."""
+    """Draw a quantity against one key, a line for each point; the base is an open marker, no result a cross below."""
     picture, (axes,) = new_picture(1, 1, (6.2, 4.4))
     x = _ticks(axes, columns[parameters[0]], "x")
     errors = _errors(columns, quantity)
     variant = np.array(columns["variant"])
+    bases = drawn & (variant == 0) & np.isfinite(x)
     for (text, here), marker, colour in zip(points(columns), cycle(MARKERS), cycle(SERIES), strict=False):
         rows = np.flatnonzero(here & drawn & (variant > 0))
         rows = rows[np.argsort(x[rows], kind="stable")]
         bars = errors[rows] if errors is not None else None
         axes.errorbar(x[rows], values[rows], bars, fmt=f"{marker}-", ms=4.5, lw=1.2, color=colour, label=text or None)
-        base = np.flatnonzero(here & drawn & (variant == 0) & np.isfinite(x))
+        base = here & bases
         axes.plot(x[base], values[base], marker, ms=9, mfc="none", mec=colour, mew=1.3)
-    axes.plot([], [], "o", ms=9, mfc="none", mec=COLORS["text"], label="base")
+    if bases.any():
+        axes.plot([], [], "o", ms=9, mfc="none", mec=COLORS["text"], label="base")
+    without = (variant > 0) & ~np.isin(variant, variant[drawn])
+    _crosses(axes, x, np.zeros(len(x)), columns, without, transform=axes.get_xaxis_transform(), clip_on=False)
     axes.set(xlabel=label(parameters[0]), ylabel=label(quantity))
     grid(axes)
-    axes.legend()
+    if legend_entries([axes]):
+        axes.legend()
     picture.subplots_adjust(left=0.13, right=0.97, top=0.96, bottom=0.13)
     return picture
+
+
+def _crosses(axes: Axes, x: Floats, y: Floats, columns: Columns, rows: Any, **options: Any) -> None:
+    """Draw a cross for each of some rows, which have no result, with how they ended as the label."""
+    ends = dict.fromkeys(status for status, here in zip(columns["status"], rows, strict=True) if here)
+    text = ", ".join("no result" if status == "ok" else status for status in ends)
+    axes.plot(x[rows], y[rows], "x", color=COLORS["wire"], ms=7, label=text or None, **options)
 
 
 def _errors(columns: Columns, quantity: str) -> Any:
@@ -359,7 +372,7 @@ def _errors(columns: Columns, quantity: str) -> Any:
 
 
 def _map(columns: Columns, parameters: tuple[str, ...], quantity: str, values: Any, drawn: Any) -> Picture:
-    """Draw a quantity over two keys, a panel for each point; variants that cannot be built are crosses."""
+    """Draw a quantity over two keys, a panel for each point; variants without a result are crosses."""
     panels = points(columns)
     across = min(3, len(panels))
     down = -(-len(panels) // across)
@@ -368,16 +381,18 @@ def _map(columns: Columns, parameters: tuple[str, ...], quantity: str, values: A
     variant = np.array(columns["variant"])
     for axes, (text, here) in zip(every, panels, strict=False):
         x, y = (_ticks(axes, columns[name], axis) for name, axis in zip(parameters, "xy", strict=True))
-        rows, wrong = here & drawn & (variant > 0), here & ~drawn & (variant > 0)
+        rows = here & drawn & (variant > 0)
         _cells(axes, x[here & (variant > 0)], y[here & (variant > 0)], x[rows], y[rows], values[rows], label(quantity))
-        axes.plot(x[wrong], y[wrong], "x", color=COLORS["wire"], ms=7, label="not possible" if wrong.any() else None)
-        base = here & drawn & (variant == 0)
-        axes.plot(x[base], y[base], "o", ms=10, mfc="none", mec=COLORS["fit"], mew=1.6, label="base")
+        _crosses(axes, x, y, columns, here & ~drawn & (variant > 0))
+        base = here & drawn & (variant == 0) & np.isfinite(x) & np.isfinite(y)
+        text_of_base = "base" if base.any() else None
+        axes.plot(x[base], y[base], "o", ms=10, mfc="none", mec=COLORS["fit"], mew=1.6, label=text_of_base)
         axes.set(xlabel=label(parameters[0]), ylabel=label(parameters[1]), title=text)
     for axes in every[len(panels) :]:
         axes.set_visible(False)
-    entries = legend_entries(every[:1])
-    picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=2)
+    entries = legend_entries(every)
+    if entries:
+        picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=len(entries))
     return picture
 
 

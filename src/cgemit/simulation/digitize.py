@@ -30,11 +30,14 @@ from cgemit.detector.readouts import (
     Readout,
     part_of,
 )
-from cgemit.simulation.digitizers.analog import AnalogDigitizer
-from cgemit.simulation.digitizers.binary import BinaryDigitizer
-from cgemit.simulation.digitizers.digitizer import Digitizer
-from cgemit.simulation.digitizers.gaussian import GaussianDigitizer, measured_positions
-from cgemit.simulation.digitizers.projection import ProjectionDigitizer
+from cgemit.simulation.digitizers import (
+    AnalogDigitizer,
+    BinaryDigitizer,
+    Digitizer,
+    GaussianDigitizer,
+    ProjectionDigitizer,
+    measured_positions,
+)
 from cgemit.tables import Table
 from cgemit.tables.table import made_by
 

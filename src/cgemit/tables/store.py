@@ -6,8 +6,9 @@ import itertools
 import json
 import os
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -280,12 +281,34 @@ def _same_meta(tables: Sequence[Table]) -> dict[str, Any]:
 PART_BYTES = 2**25
 
 
-class LazyTables(Mapping[str, Table]):
-    """Tables that are read when they are asked for."""
+class LazyTables(Mapping[str, Table], ABC):
+    """Tables that are made when they are first asked for, and kept."""
 
+    def __init__(self, names: Collection[str]) -> None:
+        self._names = names
+        self._tables: dict[str, Table] = {}
+
+    def __getitem__(self, name: str) -> Table:
+        if name not in self._tables:
+            self._tables[name] = self._made(name)
+        return self._tables[name]
+
+    @abstractmethod
+    def _made(self, name: str) -> Table:
+        """Return a table anew."""
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    @abstractmethod
     def about(self, name: str) -> Mapping[str, Any]:
         """Return the description of a table."""
-        raise NotImplementedError
 
     def __or__(self, others: Mapping[str, Table]) -> dict[str, Table]:
         """Return all tables and others, as of a dict."""
@@ -339,30 +362,20 @@ class JoinedTables(LazyTables):
         if problems:
             raise ValueError("the chunks cannot be joined:\n  " + "\n  ".join(problems))
         self._meta = dict(meta or {})
+        super().__init__(names)
         self._parts = {name: [chunk[name] for chunk in chunks] for name in names}
-        self._tables: dict[str, Table] = {}
         # Rows of each table before each chunk.
         self._before = {
             name: np.cumsum([0, *(len(table) for table in parts[:-1])], dtype=np.int64)
             for name, parts in self._parts.items()
         }
 
-    def __getitem__(self, name: str) -> Table:
-        if name not in self._tables:
-            parts = self._parts[name]
-            joined = parts[0] if len(parts) == 1 else _join(parts, self._before)
-            self._tables[name] = joined.with_meta(**self._meta) if self._meta else joined
-            self._parts[name] = [self._tables[name]]
-        return self._tables[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._parts)
-
-    def __len__(self) -> int:
-        return len(self._parts)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._parts
+    def _made(self, name: str) -> Table:
+        parts = self._parts[name]
+        joined = parts[0] if len(parts) == 1 else _join(parts, self._before)
+        joined = joined.with_meta(**self._meta) if self._meta else joined
+        self._parts[name] = [joined]
+        return joined
 
     def about(self, name: str) -> Mapping[str, Any]:
         """Return the description of a table."""
@@ -402,13 +415,11 @@ class StoredTables(LazyTables):
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         self.index = read_index(folder)
+        super().__init__(self.index)
         self._files = {name: files_of(name, about) for name, about in self.index.items()}
-        self._tables: dict[str, Table] = {}
 
-    def __getitem__(self, name: str) -> Table:
-        if name not in self._tables:
-            self._tables[name] = self.read(name)
-        return self._tables[name]
+    def _made(self, name: str) -> Table:
+        return self.read(name)
 
     def read(self, name: str, *, check: bool = True) -> Table:
         """Return a table, if the index describes its parts, and without `check` also if it does not describe it."""
@@ -425,15 +436,6 @@ class StoredTables(LazyTables):
         """Return the file of a table, or the folder of its parts, relative to the folder of all tables."""
         files = self._files[name]
         return files[0][0] if len(files) == 1 else name
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.index)
-
-    def __len__(self) -> int:
-        return len(self.index)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.index
 
     def about(self, name: str) -> Mapping[str, Any]:
         """Return the description of a table."""
@@ -479,21 +481,12 @@ class StoredPart(LazyTables):
     """The tables of one part of a folder by name, each read when it is first asked for, and kept."""
 
     def __init__(self, whole: StoredTables, number: int, before: Mapping[str, int]) -> None:
+        super().__init__(whole)
         self._whole, self._number, self._before = whole, number, before
-        self._tables: dict[str, Table] = {}
 
-    def __getitem__(self, name: str) -> Table:
-        if name not in self._tables:
-            table = self._whole.read_part(name, self._number)
-            links = moved_links(table, lambda to: -np.int64(self._before.get(to, 0)))
-            self._tables[name] = table.with_columns(**links)
-        return self._tables[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._whole)
-
-    def __len__(self) -> int:
-        return len(self._whole)
+    def _made(self, name: str) -> Table:
+        table = self._whole.read_part(name, self._number)
+        return table.with_columns(**moved_links(table, lambda to: -np.int64(self._before.get(to, 0))))
 
     def about(self, name: str) -> Mapping[str, Any]:
         """Return the description of a table."""

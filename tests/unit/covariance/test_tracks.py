@@ -405,6 +405,51 @@ def test_shapes_ranges_and_status() -> None:
     assert mixed.rms_p > mixed.sigma_p > 0
 
 
+def test_ranges_are_printed_as_ranges() -> None:
+    """Columns hold their middle."""
+    text = "p 0.3 to 1 GeV/c, cos(theta) -0.93 to 0.93"
+    found = cg.analytic(DESIGN, "mu-", (0.3, 1.0), (-0.93, 0.93), samples=8)
+    head, line = repr(found).splitlines()
+    assert (head, line.strip().partition(":")[0]) == (f"<{DESIGN.name}, mu-, readout binary", text)
+    assert (found.p, found.cos_theta) == (0.65, 0.0)
+    assert [found.table()[name].tolist() for name in ("p", "cos_theta")] == [[0.65], [0.0]]
+    assert repr(found.budget("dr")).splitlines()[2].strip().startswith("0.3 to 1  ")
+    moved = cg.sensitivity(DESIGN, "mu-", (0.3, 1.0), (-0.93, 0.93), keys=["field.bz"], samples=8)
+    assert repr(moved).splitlines()[0] == f"{DESIGN.name}, mu-, {text}"
+    titles = [
+        cg.draw.draw_sensitivity(moved).axes[0].get_title(loc="left"),
+        cg.draw.draw_budgets({"design": found.budget("dr")}).axes[0].get_title(loc="left"),
+    ]
+    assert titles == [f"{DESIGN.name}, mu-, p = 0.3 to 1 GeV/c, cos θ = -0.93 to 0.93"] * 2
+    lines = cg.analytic(DESIGN, "mu-", [0.3, 1.0], (-0.93, 0.93), samples=8)
+    assert [line.strip().partition(":")[0] for line in repr(lines).splitlines()[1:]] == [
+        f"p {p} GeV/c, cos(theta) -0.93 to 0.93" for p in ("0.3", "1")
+    ]
+    title = cg.draw.draw_budget(lines.budget("dr")).axes[0].get_title(loc="left")
+    assert title == f"{DESIGN.name}, mu-, cos θ = -0.93 to 0.93"
+
+
+def test_no_readout_is_printed_without_cgem_layers() -> None:
+    assert repr(cg.analytic("besiii-idc")).splitlines()[0] == "<besiii-idc, mu-"
+
+
+def test_curves_have_steps_where_azimuths_and_cells_have_a_common_factor() -> None:
+    """The same for every readout; all tracks cross layers of 128 and 256 cells at the same position in a cell."""
+    p = np.linspace(0.5, 2.0, 76)
+
+    def scatter(samples: int, readout: str) -> tuple[float, float]:
+        found = cg.analytic(DESIGN, "mu-", p, samples=samples, readout=readout)
+        second = np.diff(np.log(found.sigma_p), 2)  # of independent errors it has 6 times their variance
+        return float(np.std(second)) / 6**0.5, float(np.abs(np.diff(found.n_wires)).max())
+
+    for readout in ("binary", "gaussian"):
+        (noise, jump), (less, smaller) = scatter(128, readout), scatter(127, readout)
+        assert 0.004 < noise < 0.005
+        assert less < 0.0004
+        assert jump > 0.9
+        assert smaller < 0.3
+
+
 def test_every_problem_is_listed() -> None:
     with pytest.raises(ValueError, match=r"p: got -1, expected positive.*\n.*cos_theta.*\n.*samples") as error:
         cg.analytic(DESIGN, "mu-", -1, 1.5, samples=0)

@@ -18,7 +18,7 @@ from cgemit.reconstruction.cluster_errors import chip_errors
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings, Floats
 from cgemit.simulation import digitize
-from cgemit.simulation.digitizers.digitizer import Digitizer
+from cgemit.simulation.digitizers import Digitizer
 from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
 from stats import assert_within

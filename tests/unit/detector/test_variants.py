@@ -140,6 +140,24 @@ def test_tables_single_values_and_removal_go_together() -> None:
     assert problems({"remove": ["cgem.L1"], "cgem.L1.pitch_x": "500 um"})[0].startswith("cgem.L1: got only pitch_x")
 
 
+def test_patterns_remove_every_part_that_they_match() -> None:
+    found = DESIGN.with_overrides({"remove": ["cgem.L[12]", "cgem.*2"], "cgem.*.pitch_x": "500 um"})
+    assert [(layer.label, layer.pitch_x) for layer in found.cgem] == [("L3", 0.5)]
+    chamber = DESIGN.with_overrides({"remove": ["cgem.*", "walls.*"]})
+    assert (len(chamber.cgem), len(chamber.walls)) == (0, 0)
+    assert chamber.content_hash == DESIGN.with_overrides({"remove": ["cgem", "walls"]}).content_hash
+    wires = DESIGN.with_overrides({"remove": ["drift_chamber.layers.[9-9]"]}).drift_chamber.layers
+    assert [one.number for one in DESIGN.drift_chamber.layers if one not in wires] == [9]
+    assert problems({"remove": ["cgem.Q*", "cgm.*", "cgem.L9"]}) == [
+        'remove: got "cgem.Q*", which matches nothing, expected a pattern for L1, L2, L3',
+        (
+            'remove: got "cgm.*", which matches nothing, '
+            "expected a pattern for field, drift_chamber, beam_pipe, cgem, layer, walls, background"
+        ),
+        'remove: got "cgem.L9", expected a part of the base; did you mean "cgem.L3"?',
+    ]
+
+
 def test_problems_are_all_listed() -> None:
     assert problems({"cgem.X*.pitch_x": "1 mm", "cgem.L1.foils": "x1.5", "cgem.L1.pitch": "x2"}) == [
         'cgem.X*.pitch_x: got "X*", which matches nothing, expected a pattern for L1, L2, L3',

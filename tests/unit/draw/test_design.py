@@ -178,6 +178,50 @@ def test_a_map_holds_the_value_of_each_cell_and_crosses() -> None:
     assert picture.axes[1].get_ylabel() == "all"
 
 
+def legend_of(picture: Any) -> list[str]:
+    """Return the entries of the only legend."""
+    (legend,) = [*picture.legends, *filter(None, [axes.get_legend() for axes in picture.axes])]
+    return [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_designs_without_a_result_are_crosses(count: int) -> None:
+    """In a scan on the axis, since they have no value."""
+
+    def radii(detector: cg.Detector) -> dict[str, Any]:
+        if detector.cgem["L1"].anode_radius == 90:
+            raise ValueError("no result")
+        return {"all": sum(layer.anode_radius for layer in detector.cgem)}
+
+    keys = ("cgem.L1.anode_radius", "cgem.*.foils")[:count]
+    values = [("80 mm", 3), ("125 mm", 2), ("90 mm", 1)]
+    found = sweep(DESIGN_SWEEP, [dict(zip(keys, one, strict=False)) for one in values], evaluate=radii)
+    assert found.columns["status"] == ["ok", "ok", "impossible", "failed"]
+    picture = found.draw("all")
+    (crosses,) = (line for line in picture.axes[0].lines if line.get_marker() == "x")
+    assert crosses.get_xdata().tolist() == [125, 90]
+    assert crosses.get_ydata().tolist() == ([0, 0] if count == 1 else [2, 1])
+    if count == 1:
+        heights = crosses.get_transform().transform(np.column_stack(crosses.get_data()))[:, 1]
+        np.testing.assert_allclose(heights, picture.axes[0].bbox.y0)
+    assert sorted(legend_of(picture)) == ["base", "impossible, failed"]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_base_that_is_not_drawn_has_no_entry(count: int) -> None:
+    """The first two layers of the base differ in length, or the quantity is not known for it."""
+
+    def length(detector: cg.Detector) -> dict[str, Any]:
+        known = detector.cgem["L1"].foils == 2
+        return {"length": detector.cgem["L1"].length, "known": 1.0 if known else float("nan")}
+
+    for key, value, quantity in (("cgem.L[12].length", "500 mm", "length"), ("cgem.*.foils", 2, "known")):
+        changes = dict([(key, value), ("field.bz", "0.9 T")][:count])
+        picture = sweep(DESIGN_SWEEP, [changes], evaluate=length).draw(quantity)
+        assert not picture.legends
+        assert picture.axes[0].get_legend() is None
+
+
 def test_parallel_coordinates_run_through_every_value() -> None:
     ranges = {"cgem.*.pitch_x": ("400 um", "900 um"), "cgem.*.foils": (1, 3), "cgem.*.gas": ["CgemGas", "MdcGas"]}
     found = sweep(DESIGN_SWEEP, latin_hypercube(ranges, 8), evaluate=strips)

@@ -213,6 +213,11 @@ def test_events_without_tracks_hits_or_parts_are_drawn(result: cg.Result) -> Non
         cg.draw.event(result, 2)
 
 
+def test_the_title_names_no_readout_of_a_detector_without_cgem_layers() -> None:
+    run = cg.run("cepc-like", cg.Gun("mu-", p=1.0, theta=1.0), 1, 1, until="digitize")
+    assert cg.draw.event(run).get_suptitle().startswith("cepc-like, event 0")
+
+
 def test_the_command_draws_the_event_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Any] = []
     monkeypatch.setattr(

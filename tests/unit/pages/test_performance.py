@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -136,6 +137,19 @@ def test_the_chain_is_timed_stage_by_stage() -> None:
     assert list(cost) == [*stages.CHAIN, "all"]
     assert all(value > 0 for value in cost.values())
     assert sum(cost[name] for name in stages.CHAIN) < cost["all"]
+
+
+def test_times_are_labelled_with_plain_numbers() -> None:
+    found = PAGE.read()
+    for draw, ends in zip(PAGE.pictures.values(), [(1, 20), (2, 50)], strict=True):
+        figure = draw(found)
+        (axes,) = figure.axes
+        low, high = axes.get_ylim()
+        texts = [text for at, text in zip(axes.get_yticks(), axes.get_yticklabels(), strict=True) if low <= at <= high]
+        numbers = [float(text.get_text()) for text in texts]
+        assert set(ends) <= set(numbers) <= {1, 2, 5, 10, 20, 50, 100}
+        assert not any(text.get_text() for text in axes.get_yticklabels(minor=True))
+        plt.close(figure)
 
 
 def test_electrons_of_the_readout_are_multiplied() -> None:

@@ -253,6 +253,21 @@ def test_sets_of_tables(tmp_path):
         load_tables(tmp_path / "set")
 
 
+def test_names_of_tables_are_known_without_reading_them(tmp_path):
+    save_tables({kind: make(kind, [0], 1) for kind in ("truths", "digis")}, tmp_path)
+    whole = store.StoredTables(tmp_path)
+    (part,) = whole.parts()
+    joined = JoinedTables([{"truths": make("truths", [0], 1), "digis": make("digis", [0], 1)}])
+    for file in tmp_path.glob("*.npz"):
+        file.unlink()
+    for tables in (whole, part, joined):
+        assert (list(tables), len(tables)) == (["truths", "digis"], 2)
+        assert ("truths" in tables, "tracks" in tables) == (True, False)
+    with pytest.raises(FileNotFoundError):
+        part["truths"]
+    assert joined["truths"] is joined["truths"]
+
+
 def chunk(first, n, truth_rows):
     """Return a chunk whose every digi links to the last truth of the chunk, and one to none."""
     truths = make("truths", [first] * truth_rows, n, first)

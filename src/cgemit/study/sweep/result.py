@@ -56,6 +56,7 @@ class TidyResult(Shown):
 LEADING = ("variant", "name", "hash", "status", "problems")
 _POINT = ("p (GeV/c)", "cos_theta")
 _SHOWN_ROWS = 40
+_LONGEST_CELL = 120  # characters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -225,13 +226,14 @@ class Sweep(TidyResult):
         shown = [name for name in self.results if not name.startswith("delta_") and "_error" not in name][:6]
         head = ["variant", "status", *self.parameters, *(name for name in _POINT if name in self.columns), *shown]
         count = min(len(self), _SHOWN_ROWS)
+        head += ["problems"] if any(self.columns["problems"][:count]) else []
         rows = [[_cell(self.columns[name][i]) for name in head] for i in range(count)]
         more = f"; {len(self) - count} more rows" if len(self) > count else ""
         return f"{self.bases[0].name}: {len(self.space)} variants, {len(self)} rows{more}", head, rows
 
 
 def _cell(value: Any) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+    return f"{value:.5g}" if isinstance(value, float) else " ".join(str(value).split())[:_LONGEST_CELL]
 
 
 def _leading(space: Space, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Any]]:

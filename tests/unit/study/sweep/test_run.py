@@ -291,8 +291,22 @@ def test_tables_are_written_and_read_back(tmp_path: Path) -> None:
     assert cg.load(tmp_path / "detector.toml").content_hash == DESIGN.content_hash
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["status"], summary["variants"]) == ({"impossible": 2, "ok": 3}, 4)
-    assert "impossible" in repr(found)
+    head, base, _, overlap = repr(found).splitlines()[1:5]
+    assert (head.split()[-1], base.split()[-1]) == ("problems", f"{channels(DESIGN)['x0 (%)']:.5g}")
+    assert overlap.split()[1] == "impossible"
+    assert found.columns["problems"][2] in overlap
+    assert "problems" not in repr(sweep(DESIGN, {"cgem.*.foils": [2]}, evaluate=channels))
     assert "<table>" in found._repr_html_()
+
+
+def test_the_message_of_a_failure_is_one_line_of_the_printed_table() -> None:
+    def fails(detector: Detector) -> dict[str, Any]:
+        if detector.cgem["L1"].foils == 2:
+            raise ValueError("first line\n  second line" + 200 * "x")
+        return {"foils": 3}
+
+    last = repr(sweep(DESIGN, {"cgem.*.foils": [2]}, evaluate=fails)).splitlines()[-1]
+    assert last.partition("ValueError: ")[2] == f"first line second line{200 * 'x'}"[: 120 - len("ValueError: ")]
 
 
 class Counting(Executor):

@@ -1,1 +1,0 @@
-"""Digitizers of CGEM layers, a file each."""
