@@ -182,10 +182,10 @@ def analytic(
     >>> muons = cg.analytic("besiii-cgem-design", "mu-", p=[0.3, 1.0])
     >>> muons
     <besiii-cgem-design, mu-, readout binary
-      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 308.5 um, sigma(d_z) 0.4325 mm, sigma(p) 0.8343 MeV/c
-      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.7 um, sigma(d_z) 0.2837 mm, sigma(p) 4.661 MeV/c>
+      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 308.5 um, sigma(d_z) 0.4323 mm, sigma(p) 0.834 MeV/c
+      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.6 um, sigma(d_z) 0.2833 mm, sigma(p) 4.654 MeV/c>
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
-    [309. 168.] [0.83 4.66]
+    [308. 168.] [0.83 4.65]
     """
     detector, fit = load(detector), _FIT if fit is None else fit
     if not isinstance(fit, FitSettings):

@@ -237,7 +237,7 @@ def sensitivity(
     >>> cg.sensitivity("besiii-cgem-design", p=1.0, keys=["cgem.L1.pitch_x", "field.bz"])
     besiii-cgem-design, mu-, p 1 GeV/c, cos(theta) 0
     1 % more of      sigma(dr) [%]  sigma(dz) [%]  sigma(p) [%]
-    field.bz                -0.082         -0.070        -0.999
+    field.bz                -0.082         -0.070        -0.998
     cgem.L1.pitch_x         +0.291         +0.012        +0.036
     """
     detector = load(detector)

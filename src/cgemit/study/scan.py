@@ -620,7 +620,7 @@ class AnalyticScan(ScanBase):
     --------
     >>> lines = cg.study.scan_analytic("besiii-cgem-design", [0.3, 1.0])
     >>> print(lines.at("dr").round(), lines.at("p").round(2))  # um, MeV/c
-    [402. 195.] [0.94 4.53]
+    [401. 195.] [0.94 4.53]
     """
 
     covariance: Covariance
@@ -754,7 +754,7 @@ def scan_analytic(
     --------
     >>> lines = cg.study.scan_analytic("besiii-cgem-design", [0.3, 1.0])
     >>> lines.at("dr").round()  # um
-    array([402., 195.])
+    array([401., 195.])
     """
     start = time.perf_counter()
     gun = samples.gun_arguments(momenta, pt, particle, cos_theta, theta)
