@@ -559,7 +559,8 @@ def _known_table(results: FitResults) -> str:
         share = sum(side.wrong for side in far) / sum(side.n for side in far)
         cells = [f"{1000 * row.known:.4g}", f"{1000 * row.hidden:.4g}", f"{row.ratio:.4f} ± {row.ratio_error:.4f}"]
         lines.append([f"{row.p:g}", *cells, f"{100 * share:.4f}"])
-    head = ["p, GeV/c", "sigma(p) sides known, MeV/c", "to be found", "ratio", "wrong beyond 0.26 mm, %"]
+    head = ["p, GeV/c", "sigma(p), sides known, MeV/c", "sigma(p), sides unknown, MeV/c", "ratio"]
+    head += ["wrong sides beyond 0.26 mm, %"]
     return table(head, lines)
 
 

@@ -94,6 +94,15 @@ STEPS: dict[str, tuple[Stack, bool]] = {
 }
 
 
+#: Titles of the steps on the page.
+TITLES = {
+    "the table": "independent program",
+    "the table's model": "same model, `pages/optimal.py`",
+    "energy loss": "with energy loss",
+    "all cells that fire": "with all cells that fire",
+}
+
+
 def hits_of(result: cg.Result, track: int, one_a_layer: bool) -> list[Hit]:
     """Return the hits of an event with one track, ordered outward; of a layer's cells all, or the nearest."""
     clusters = result.clusters[(result.clusters["event"] == track) & (result.clusters["view"] < WIRE)]
@@ -171,7 +180,7 @@ def blocks(found: Found) -> dict[str, str]:
     head = ["", "wires", "sigma(d_rho), um", "sigma(d_z), mm", "sigma(p), MeV/c"]
     lines = [
         [
-            row.step,
+            TITLES.get(row.step, row.step),
             f"{row.wires:.1f}",
             f"{row.dr:.4g}",
             f"{row.dz:.4g}",

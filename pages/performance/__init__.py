@@ -38,15 +38,15 @@ def _stages(rows: Sequence[Cost]) -> str:
 
 
 def _covariances(rows: Sequence[fits.OneCovariance]) -> str:
-    head = ["us per track", "single track", "of a point", "gradient / of a point"]
-    head += ["fit, two iterations", "fit / of a point"]
+    head = ["us per track", "single track", "track of a point", "gradient / track of a point"]
+    head += ["fit, two iterations", "fit / track of a point"]
     return table(head, [[row.isa, f"{row.alone_us:.2f}", f"{row.of_a_point_us:.2f}", f"{row.gradient:.1f}",
                          f"{row.fit_us:.2f}", f"{row.fit_us / row.of_a_point_us:.2f}"] for row in rows])  # fmt: skip
 
 
 def _memory(rows: Sequence[stages.Memory]) -> str:
     lines = [[row.case, f"{row.tables_bytes:,.0f}", f"{row.peak_bytes:,.0f}"] for row in rows]
-    return table(["kept", "tables, bytes per muon", "peak of the process, bytes per muon"], lines)
+    return table(["tables", "size, bytes per muon", "peak of the process, bytes per muon"], lines)
 
 
 def _operations(rows: Sequence[operations.Counts], costs: Sequence[Cost]) -> str:
@@ -63,13 +63,14 @@ def _operations(rows: Sequence[operations.Counts], costs: Sequence[Cost]) -> str
             lines.append([text, cost.isa, f"{own.instructions:,}" if own else "—", f"{count.operations:,}",
                           f"{count.divide + count.root:,}", f"{us:.2f}", f"{rate:.2f}",
                           f"{rate / cost.limit_gflops:.1%}"])  # fmt: skip
-    head = ["kernel", "code", "instructions", "operations", "of these / and √", "us", "operations per ns"]
-    return table([*head, "of the limit"], lines)
+    head = ["kernel", "instruction set", "instructions", "operations", "of these divisions and roots", "us",
+            "operations per ns", "share of the limit"]  # fmt: skip
+    return table(head, lines)
 
 
 def _peers(rows: Sequence[peers.Peer]) -> str:
     lines = [[row.what, f"{row.acts_us:.1f}", row.isa, f"{row.us:.2f}", f"{row.acts_us / row.us:.1f}"] for row in rows]
-    return table(["", "ACTS, us", "code", "cgemit, us", "ratio"], lines)
+    return table(["", "ACTS, us", "cgemit with", "cgemit, us", "ratio"], lines)
 
 
 def _cases(rows: Sequence[simulation.CaseCost]) -> str:
@@ -93,7 +94,15 @@ def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
         off = np.max(np.abs(us / (rest + slope * electrons) - 1))
         head = [f"{n:.0f} electrons" for n in electrons]
         lines.append([readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
-    return table(["readout", *head, "us per electron", "us without", "from a line"], lines)
+    return table(["readout", *head, "slope, us per electron", "intercept, us", "deviation"], lines)
+
+
+def _second_thread(rows: Sequence[Cost]) -> str:
+    """Return by which factors a second thread speeds up the stages: their range and median."""
+    costs = {(row.isa, row.threads): row for row in rows}
+    gains = [getattr(costs[isa, 1], name) / getattr(row, name)
+             for (isa, threads), row in costs.items() if threads == 2 for name in STAGES]  # fmt: skip
+    return f"{_range(gains)} (median {np.median(gains):.1f})"
 
 
 def _range(values: Sequence[float]) -> str:
@@ -111,6 +120,7 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         "about": f"{about['machine']}; {about['versions']}.",
         "stages": _stages(rows["stages"]),
+        "second-thread": _second_thread(rows["stages"]),
         "covariances": _covariances(rows["covariances"]),
         **curves,
         "variants": _range([row.variant_ms for row in rows["variants"]]),

@@ -68,12 +68,14 @@ def test_the_page_runs(tmp_path, monkeypatch, capsys):
     """All programs, one after the other; the comparison has at most 30 lines and finds what was put in."""
     monkeypatch.chdir(tmp_path)
     programs = blocks()
-    assert len(programs) == 4
+    assert len(programs) == 5
     assert len(programs[0].splitlines()) <= 10
-    assert len(programs[3].splitlines()) <= 30
+    assert len(programs[4].splitlines()) <= 30
     for program in programs:
         exec(compile(program, str(PAGE), "exec"), {})
     text = capsys.readouterr().out
+    (shown,) = re.findall(r"```output\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert shown in text
     chi2 = {name: float(value) for name, value in re.findall(r"^taken as (\w+) +chi2/ndf (\S+)$", text, re.MULTILINE)}
     assert chi2["corrected"] > 1.5
     assert 0.9 < chi2["raw"] < 1.1

@@ -478,6 +478,8 @@ def test_the_plans_of_the_documentation_run(tmp_path: Path) -> None:
     result = read_optimize_plan(plans / "front.toml", {"search.calls": 0, "search.population": 4}).run()
     assert len(result) == 5
     assert read_optimize_plan(plans / "optimum.toml").arguments["constraints"] == LIMITS
+    _, plan = (plans / "optimum.toml").read_text().split("\n", 1)
+    assert f"```toml\n{plan}```\n" in page
 
 
 @pytest.mark.slow
