@@ -14,7 +14,7 @@ PARTS = ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")
 SHOWN = ("cgem.L1", "cgem.L3", "drift_chamber")  # on the page; the numbers on file have all
 NAMES = {"shift_x": "100 um", "shift_z": "100 um", "tilt_x": "1 mrad", "rotation": "1 mrad"}  # ten units of the table
 #: Quantity -> heading, factors from mm, GeV/c and from the units of `resolution` to those of the heading.
-QUANTITIES = {"dr": ("d_rho [um]", 1000, 1), "dz": ("d_z [um]", 1000, 1000), "p": ("p [MeV/c]", 1000, 1)}
+QUANTITIES = {"dr": ("d_rho [µm]", 1000, 1), "dz": ("d_z [µm]", 1000, 1000), "p": ("p [MeV/c]", 1000, 1)}
 EVENTS = 4000
 SETTINGS = cg.Settings.from_dict(
     {"simulate": {"fluctuations": "gaussian", "deltas": False}, "digitize": {"readout": "gaussian"}}
@@ -69,7 +69,7 @@ def blocks(found: Found) -> dict[str, str]:
         cells = [rows[part, key, quantity] for quantity in QUANTITIES]
         texts = [f"{row.mean:+.2f}, {row.rms:.2f}" for row in cells]
         lost = _per_cent(max(row.lost for row in cells))
-        lines.append([f"`{part}.{key}`", "10 um" if "shift" in key else "0.1 mrad", *texts, lost])
+        lines.append([f"`{part}.{key}`", "10 µm" if "shift" in key else "0.1 mrad", *texts, lost])
     return {"changes": table(head, lines), "events": found["changes"].about["events"]}
 
 

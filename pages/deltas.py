@@ -324,7 +324,7 @@ def _residual_table(rows: Sequence[Number]) -> str:
     found = {row.quantity: row for row in rows if row.deltas}
     lines = []
     for number, window in enumerate(X_WINDOWS):
-        title = "RMS of all, um" if window == "all" else f"RMS within ±{window.removesuffix('mm')} mm, um"
+        title = "RMS of all, µm" if window == "all" else f"RMS within ±{window.removesuffix('mm')} mm, µm"
         own = with_error(found[window].value, found[window].error)
         lines.append([title, own, *(run.rms[number] for run in _RUNS)])
     far, single = found["beyond_3mm"], found["single_strip"]
@@ -332,7 +332,7 @@ def _residual_table(rows: Sequence[Number]) -> str:
     lines.append(["beyond 3 mm", f"{own} %", *(run.beyond_3mm for run in _RUNS)])
     own = with_error(single.value, single.error)
     lines.append(["clusters of one strip", own, *(run.single_strip for run in _RUNS)])
-    return table(["", "cgemit", *(f"Geant4, {run.title}" for run in _RUNS)], lines)
+    return table(["", "cgemit", *(f"Geant4, {run.title}".replace(" um", " µm") for run in _RUNS)], lines)
 
 
 def _spans(fractions: Sequence[Fraction], spectrum: Sequence[Born], residuals: Sequence[Number]) -> dict[str, str]:
@@ -426,7 +426,7 @@ def _draw_residuals(plot: Axes, rows: Sequence[Number]) -> None:
         plot.errorbar(range(len(names)), *values, fmt="o", color=COLORS["fit"], mfc=face, ms=5)
     plot.axhline(paper_values()["x_residual_rms"].value, color=COLORS["wire"], lw=1.2)
     plot.set_xticks(range(len(names)), ["±1 mm", "±2 mm", "±3 mm", "±5 mm", "all"])
-    plot.set(title="X residual", xlabel="within", ylabel="RMS  (um)", ylim=(0, None))
+    plot.set(title="X residual", xlabel="within", ylabel="RMS  (µm)", ylim=(0, None))
 
 
 def _middle(text: str) -> float:
@@ -436,7 +436,7 @@ def _middle(text: str) -> float:
 
 
 def _handles() -> list[Line2D | Patch]:
-    handles = [Line2D([], [], ls=ls, color=colour, label=f"Geant4, {cut}") for cut, (ls, colour) in _CUTS.items()]
+    handles = [Line2D([], [], ls=ls, color=colour, label=f"Geant4, {cut}".replace(" um", " µm")) for cut, (ls, colour) in _CUTS.items()]
     handles.append(Line2D([], [], ls="-.", color=COLORS["multi"], label="Geant4, PAI"))
     labels = {"reference": "cgemit", "whole layer": "whole layer"}
     handles += [

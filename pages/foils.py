@@ -31,7 +31,7 @@ from pages.page import Found, Numbers, Page, sample, share_of, table
 PRESET, SEED = "besiii-cgem-design", 1
 MOMENTA = (0.2, 0.5, 1.0)  # GeV/c
 BATCHES, EVENTS = 30, 3000  # of each momentum, of each batch
-UNITS = {"dr": "um", "dz": "mm", "p": "MeV/c"}
+UNITS = {"dr": "µm", "dz": "mm", "p": "MeV/c"}
 TRACK, MARK, LENGTH = "#0072B2", "#CC3311", "#009E73"  # colours of the picture
 
 
@@ -62,9 +62,9 @@ def observables(
     if p == 1.0:
         clusters = cluster_residuals(result)
         found = {
-            "X residual, RMS within 3 mm (um)": x_widths(clusters, 3.0).rms,
+            "X residual, RMS within 3 mm (µm)": x_widths(clusters, 3.0).rms,
             "X clusters of one strip": clusters.single_strip_fraction[0],
-            "V residual, Gaussian (um)": v_fit(clusters).sigma,
+            "V residual, Gaussian (µm)": v_fit(clusters).sigma,
         }
     for name, unit in UNITS.items():
         found[f"sigma({name}) ({unit})"] = windowed_resolution(result.tracks, name).core
@@ -184,7 +184,7 @@ def draw_foil(plot: Axes, parts: Sequence[Holes]) -> None:
         far = np.array([-0.06, 0.06])
         plot.plot(1e3 * (start + slope * far), 1e3 * far, color="black", lw=0.9)
         plot.plot(1e3 * np.where(solid, u, np.nan), 1e3 * w, color=MARK, lw=2.6)
-    plot.set(xlim=(-60, 520), ylim=(-60, 60), aspect="equal", xlabel="u along r phi (um)", ylabel="w outward (um)")
+    plot.set(xlim=(-60, 520), ylim=(-60, 60), aspect="equal", xlabel="u along r phi (µm)", ylabel="w outward (µm)")
 
 
 PAGE = Page("foils", "docs/methods/foils.md", "2 min", {"effects": (Effect, measure)}, blocks, {"foils.png": draw})

@@ -177,7 +177,7 @@ def measure(share: float) -> Numbers:
 
 def blocks(found: Found) -> dict[str, str]:
     """Return the table of the steps of one detector and momentum."""
-    head = ["", "wires", "sigma(d_rho), um", "sigma(d_z), mm", "sigma(p), MeV/c"]
+    head = ["", "wires", "sigma(d_rho), µm", "sigma(d_z), mm", "sigma(p), MeV/c"]
     lines = [
         [
             TITLES.get(row.step, row.step),

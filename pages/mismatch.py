@@ -21,8 +21,8 @@ DETECTOR, SEED, SHIFT = "besiii-cgem-design", 21, 0.05  # mm
 #: Quantity, heading, factor to the unit of the heading.
 QUANTITIES = (
     ("p", "p (MeV/c)", 1e3),
-    ("dr", "d_rho (um)", 1e3),
-    ("dz", "d_z (um)", 1e3),
+    ("dr", "d_rho (µm)", 1e3),
+    ("dz", "d_z (µm)", 1e3),
     ("phi0", "phi_0 (mrad)", 1e3),
 )
 
@@ -66,7 +66,7 @@ def cases() -> list[Case]:
     found = [mistaken("field 0.1 % too strong", {"field.bz": "-1.001 T"})]
     for layer in truth.cgem:
         turned = math.degrees(layer.phi_first + SHIFT / layer.r_readout)
-        found.append(mistaken(f"{layer.label} turned by 50 um", {f"cgem.{layer.label}.phi_first": f"{turned!r} deg"}))
+        found.append(mistaken(f"{layer.label} turned by 50 µm", {f"cgem.{layer.label}.phi_first": f"{turned!r} deg"}))
     for layer in truth.cgem:
         # V counts from an end of the sheet: a longer one, with the same strips, is one whose end lies farther out.
         farther = {
@@ -77,7 +77,7 @@ def cases() -> list[Case]:
         }
         overrides = {f"cgem.{layer.label}.{name}": value for name, value in farther.items()}
         end = "+z" if layer.stereo > 0 else "-z"
-        found.append(mistaken(f"{layer.label} shifted by 50 um to {end}", overrides))
+        found.append(mistaken(f"{layer.label} shifted by 50 µm to {end}", overrides))
     found.append(mistaken("no beam pipe", {"remove": ["beam_pipe"]}))
     for name in ("besiii", "finite-solenoid"):
         uneven = truth.with_field(name)

@@ -25,7 +25,7 @@ SEED, BATCHES, BATCH = 11, 12, 5000
 #: Choices that the page leaves out; the numbers on file have all.
 LEFT_OUT = (
     "cos(theta) within ±0.6", "efficiency of cells 0.95", "field of +1 T", "`--field besiii` within ±0.6",
-    "`--field finite-solenoid`", "sides of wires given", '`foil="lattice"`', "wires of 110 um",
+    "`--field finite-solenoid`", "sides of wires given", '`foil="lattice"`', "wires of 110 µm",
     "efficiency of cells 0.9", "`FitSettings(delta_strips=0)`", "both of them", "`besiii-idc`", "`besiii-idc-boss`",
 )  # fmt: skip
 #: Numbers of the study that the page shows.
@@ -33,7 +33,7 @@ SHOWN = (
     "x_residual_rms", "x_residual_core", "x_single_strip_fraction", "v_residual_sigma",
     "sigma_dr", "sigma_dz", "sigma_p", "sigma_dr_idc", "sigma_dz_idc", "sigma_p_idc",
 )  # fmt: skip
-PARAMETERS = {"dr": "d_rho (um)", "dz": "d_z (mm)", "p": "p (MeV/c)"}
+PARAMETERS = {"dr": "d_rho (µm)", "dz": "d_z (mm)", "p": "p (MeV/c)"}
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ def choices() -> list[Choice]:
         Choice("drift gap 3 mm", overrides=gap),
         Choice("cos(theta) within ±0.8", cos_theta=0.8),
         Choice("cos(theta) within ±0.6", cos_theta=0.6),
-        Choice("wires of 110 um", overrides={"drift_chamber.sigma": "110 um"}),
-        Choice("wires of 150 um", overrides={"drift_chamber.sigma": "150 um"}),
+        Choice("wires of 110 µm", overrides={"drift_chamber.sigma": "110 um"}),
+        Choice("wires of 150 µm", overrides={"drift_chamber.sigma": "150 um"}),
         Choice('`drift_chamber.wires = "smeared"`', overrides={"drift_chamber.wires": "smeared"}),
         Choice("efficiency of cells 0.95", overrides={"drift_chamber.efficiency": 0.95}),
         Choice("efficiency of cells 0.9", overrides={"drift_chamber.efficiency": 0.9}),
@@ -177,7 +177,7 @@ def blocks(found: Found) -> dict[str, str]:
         ]
         cells += ["–" if row.x_rms is None else f"{row.x_rms:.4g}"]
         lines.append([row.title, *cells])
-    head = ["", *PARAMETERS.values(), "X RMS within ±3 mm (um)"]
+    head = ["", *PARAMETERS.values(), "X RMS within ±3 mm (µm)"]
     return {**shown, "sample": sample(found["choices"]), "choices": table(head, lines)}
 
 

@@ -158,7 +158,7 @@ def blocks(found: Found) -> dict[str, str]:
             continue
         cells = [f"{row.fitted:.2f}", f"{row.p:.2f}", f"{row.dr:.0f}", f"{row.pull_kappa:.2f}"]
         lines.append([f"{row.name}: {row.text}", *cells])
-    head = ["tracks", "fitted %", "p %", "dr um", "pull of kappa"]
+    head = ["tracks", "fitted %", "p %", "dr µm", "pull of kappa"]
     texts = {"events": found["scenarios"].about["events"], "scenarios": table(head, lines)}
     lines = []
     for one in found["begins"].rows:

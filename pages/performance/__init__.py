@@ -33,12 +33,12 @@ COLOURS = ("#999999", "#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 def _stages(rows: Sequence[Cost]) -> str:
     """Return the table of stages, a column for each instruction set and number of threads."""
-    head = ["us per muon", *(f"{row.isa}, {row.threads} thread{'s' * (row.threads != 1)}" for row in rows)]
+    head = ["µs per muon", *(f"{row.isa}, {row.threads} thread{'s' * (row.threads != 1)}" for row in rows)]
     return table(head, [[text, *(f"{getattr(row, name):.2f}" for row in rows)] for name, text in STAGES.items()])
 
 
 def _covariances(rows: Sequence[fits.OneCovariance]) -> str:
-    head = ["us per track", "single track", "track of a point", "gradient / track of a point"]
+    head = ["µs per track", "single track", "track of a point", "gradient / track of a point"]
     head += ["fit, two iterations", "fit / track of a point"]
     return table(head, [[row.isa, f"{row.alone_us:.2f}", f"{row.of_a_point_us:.2f}", f"{row.gradient:.1f}",
                          f"{row.fit_us:.2f}", f"{row.fit_us / row.of_a_point_us:.2f}"] for row in rows])  # fmt: skip
@@ -63,25 +63,25 @@ def _operations(rows: Sequence[operations.Counts], costs: Sequence[Cost]) -> str
             lines.append([text, cost.isa, f"{own.instructions:,}" if own else "—", f"{count.operations:,}",
                           f"{count.divide + count.root:,}", f"{us:.2f}", f"{rate:.2f}",
                           f"{rate / cost.limit_gflops:.1%}"])  # fmt: skip
-    head = ["kernel", "instruction set", "instructions", "operations", "of these divisions and roots", "us",
+    head = ["kernel", "instruction set", "instructions", "operations", "of these divisions and roots", "µs",
             "operations per ns", "share of the limit"]  # fmt: skip
     return table(head, lines)
 
 
 def _peers(rows: Sequence[peers.Peer]) -> str:
     lines = [[row.what, f"{row.acts_us:.1f}", row.isa, f"{row.us:.2f}", f"{row.acts_us / row.us:.1f}"] for row in rows]
-    return table(["", "ACTS, us", "cgemit with", "cgemit, us", "ratio"], lines)
+    return table(["", "ACTS, µs", "cgemit with", "cgemit, µs", "ratio"], lines)
 
 
 def _cases(rows: Sequence[simulation.CaseCost]) -> str:
     lines = [[row.case, f"{row.us:.1f}", f"{row.products:.2f}"] for row in rows]
-    return table(["simulated", "us per muon", "in products of matrices"], lines)
+    return table(["simulated", "µs per muon", "in products of matrices"], lines)
 
 
 def _fields(rows: Sequence[FieldCost]) -> str:
     uniform = {row.isa: row.us for row in rows if row.field == "uniform"}
     lines = [[row.field, f"{row.us:.1f}", f"{row.us / uniform[row.isa]:.2f}"] for row in rows if row.isa == SHOWN[-1]]
-    return table(["field", "us per muon", "over uniform"], lines)
+    return table(["field", "µs per muon", "over uniform"], lines)
 
 
 def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
@@ -94,7 +94,7 @@ def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
         off = np.max(np.abs(us / (rest + slope * electrons) - 1))
         head = [f"{n:.0f} electrons" for n in electrons]
         lines.append([readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
-    return table(["readout", *head, "slope, us per electron", "intercept, us", "deviation"], lines)
+    return table(["readout", *head, "slope, µs per electron", "intercept, µs", "deviation"], lines)
 
 
 def _second_thread(rows: Sequence[Cost]) -> str:
@@ -151,7 +151,7 @@ def draw_stages(found: Found) -> Figure:
     labels = [STAGES[n].replace("*kernel*: ", "kernel:\n").replace(", two iterations", "").replace("t, s", "t,\ns")
               for n in names]  # fmt: skip
     axes.set_xticks(np.arange(len(names)), labels, fontsize=8)
-    axes.set(yscale="log", ylabel="us per muon")
+    axes.set(yscale="log", ylabel="µs per muon")
     _plain_numbers(axes)
     axes.grid(axis="y", alpha=0.3)
     axes.legend(ncols=4, frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
@@ -173,7 +173,7 @@ def draw_chain(found: Found) -> Figure:
     for name in (*CHAIN, "all"):
         style: dict[str, Any] = {"color": "black", "lw": 2} if name == "all" else {"lw": 1.3}
         axes.plot([row.events for row in rows], [getattr(row, name) for row in rows], "o-", ms=4, label=name, **style)
-    axes.set(xscale="log", yscale="log", xlabel="muons", ylabel="us per muon, one thread")
+    axes.set(xscale="log", yscale="log", xlabel="muons", ylabel="µs per muon, one thread")
     _plain_numbers(axes)
     axes.grid(alpha=0.3)
     axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)

@@ -232,7 +232,7 @@ def run_cgemit(detector: Detector, p: float, cos_theta: float) -> dict[str, floa
         costs[stage] = 1e6 * (time.perf_counter() - start) / (EVENTS * MUONS)
     tracks = calls["fit"]()["tracks"]
     good = tracks["status"] == 0
-    return {**costs, "sigma_p": width_of(tracks["res_p"][good]).core, "fitted": float(np.mean(good))}
+    return {**costs, "sigma_p": width_of(tracks["p"][good] - p).core, "fitted": float(np.mean(good))}
 
 
 def compare(detector: Detector, built: Any, folder: Path, case: str) -> list[Peer]:

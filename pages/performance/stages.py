@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.base.isa import available
+from cgemit.chain.executor import PARTICLES
 from cgemit.chain.run import Job, run, run_chunk
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, compiled, load
@@ -44,7 +45,6 @@ SMEARING = (1.0, 0.005, 0.02, 5.0, 0.005)
 """Smearing of a given starting helix: dr mm, phi0 rad, kappa relative, dz mm, tanl."""
 EVENTS, RUNS, THREADS = 2000, 30, (1, 2)
 COUNTS = (100, 1000, 10_000, 100_000, 1_000_000)
-CHUNK = 1000
 MEMORY_COUNTS = (10_000, 40_000)
 MEMORY_CASES = {"tables of all stages": False, "and residuals of all hits": True}
 
@@ -224,13 +224,13 @@ def smeared(truth: Floats, particles: Table, seed: int, sigma: Sequence[float] =
 
 
 def chain_times(events: int) -> dict[str, float]:
-    """Return us per track of each stage and of all, for so many events; tables are dropped chunk by chunk."""
+    """Return us per track of each stage and of all, for so many events; tables of a chunk are dropped."""
     detector, settings = load(DETECTOR), Settings(fit=ALL_HITS)
     job = Job(detector, detector, GUN, None, settings, SEED, "truth", "fit", None)
     seconds = dict.fromkeys((*CHAIN, "all"), 0.0)
     start = time.perf_counter()
-    for first in range(0, events, CHUNK):
-        particles = generate(GUN, min(CHUNK, events - first), SEED, first)
+    for first in range(0, events, PARTICLES):
+        particles = generate(GUN, min(PARTICLES, events - first), SEED, first)
         for stage, spent in run_chunk(job, particles)[1].items():
             seconds[stage] += spent
     seconds["all"] = time.perf_counter() - start
@@ -239,7 +239,7 @@ def chain_times(events: int) -> dict[str, float]:
 
 def measure_chain(_share: float) -> Numbers:
     """Measure the chain for all numbers of events; the first run builds what is then kept."""
-    chain_times(CHUNK)
+    chain_times(PARTICLES)
     rows = []
     for events in COUNTS:
         before = product_us(time.perf_counter)
