@@ -162,3 +162,11 @@ def test_documented_numbers_are_those_of_the_program():
         assert published.get(row.id, "–") == ("–" if row.paper is None else f"{row.paper:g}")
         # Rounded to two digits of the error.
         assert_within(row.value, value, (row.error**2 + (1.05 * error) ** 2) ** 0.5, what=row.id)
+
+
+def test_expected_widths_beside_the_linear_covariance():
+    text = (Path(__file__).parents[2] / "docs" / "paper.md").read_text(encoding="utf-8")
+    quoted = re.search(r"than the ([\d.]+) µm of\s`cg.analytic` at 90.*`cg.analytic` gives ([\d.]+) µm", text, re.DOTALL)
+    assert quoted
+    for readout, number in zip(("binary", "gaussian"), quoted.groups(), strict=True):
+        assert f"{cgemit.analytic(DESIGN, 'mu-', 1.0, readout=readout).sigma('dr').item():.1f}" == number
