@@ -436,7 +436,10 @@ def _middle(text: str) -> float:
 
 
 def _handles() -> list[Line2D | Patch]:
-    handles = [Line2D([], [], ls=ls, color=colour, label=f"Geant4, {cut}".replace(" um", " µm")) for cut, (ls, colour) in _CUTS.items()]
+    handles = [
+        Line2D([], [], ls=ls, color=colour, label=f"Geant4, {cut}".replace(" um", " µm"))
+        for cut, (ls, colour) in _CUTS.items()
+    ]
     handles.append(Line2D([], [], ls="-.", color=COLORS["multi"], label="Geant4, PAI"))
     labels = {"reference": "cgemit", "whole layer": "whole layer"}
     handles += [

@@ -253,8 +253,8 @@ def _tracks(
     return sample, tracks
 
 
-#: Tracks of a point. With a factor in common with the numbers of cells, such as in 128, all tracks would cross a layer at
-#: the same position in a cell: σ(p) is 14 times less accurate then.
+#: Tracks of a point. With a number such as 128, which has factors in common with the numbers of cells, all tracks would
+#: cross a layer at the same position in a cell, and σ(p) would be 14 times less accurate.
 _SAMPLES = 127
 #: Probability of no clusters above which tracks of the same direction are sampled.
 _SAMPLED_LOSS = 1e-3
