@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
+#include "bindings/matter.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 #include "simulation/transport/slabs.hpp"
@@ -11,14 +12,6 @@ using namespace cgemit;
 using namespace cgemit::bindings;
 
 namespace {
-
-const Slab& slab_of(const Detector& detector, int index) {
-  return detector.slabs.at(static_cast<std::size_t>(index));
-}
-
-Kinematics particle(double p, double mass, double charge) {
-  return Kinematics(p, mass, projectile_of(mass, charge));
-}
 
 py::dict pass_slabs(const Detector& detector, double p, double mass, double charge, std::size_t n,
                     std::uint64_t seed, std::uint64_t first) {

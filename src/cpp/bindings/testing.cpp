@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "bindings/hits.hpp"
+#include "bindings/matter.hpp"
 #include "bindings/rows.hpp"
 #include "common/angles.hpp"
 #include "common/rng.hpp"
@@ -93,14 +94,6 @@ py::tuple to_wire(const Array<double>& points, const Detector& detector, int lay
   }
   return py::make_tuple(to_numpy(std::move(moved), {n, point_width}), to_numpy(std::move(doca)),
                         to_numpy(std::move(arcs)), to_numpy(std::move(found)));
-}
-
-const Slab& slab_of(const Detector& detector, int index) {
-  return detector.slabs.at(static_cast<std::size_t>(index));
-}
-
-Kinematics particle(double p, double mass, double charge) {
-  return Kinematics(p, mass, projectile_of(mass, charge));
 }
 
 py::array_t<double> solid_fractions(const Detector& detector, int slab, const Array<double>& u,

@@ -114,4 +114,29 @@ mask_of<T> positive_definite(Symmetric<T> c) {
   return good;
 }
 
+// x with c x = b, for a positive definite matrix c (Gauss elimination, symmetric, without exchange of rows).
+template <class T>
+Five<T> solve(Symmetric<T> c, Five<T> b) {
+  unroll<parameters>([&](auto k) {
+    const T per_pivot = 1.0 / c(k, k);
+    unroll<parameters>([&](auto i) {
+      if constexpr (i > k) {
+        const T factor = c(k, i) * per_pivot;
+        b[i] -= factor * b[k];
+        unroll<parameters>([&](auto j) {
+          if constexpr (j >= i) c(i, j) -= factor * c(k, j);
+        });
+      }
+    });
+  });
+  unroll<parameters>([&](auto number) {
+    constexpr int k = parameters - 1 - number;
+    unroll<parameters>([&](auto j) {
+      if constexpr (j > k) b[k] -= c(k, j) * b[j];
+    });
+    b[k] = b[k] / c(k, k);
+  });
+  return b;
+}
+
 }  // namespace cgemit

@@ -1,11 +1,11 @@
 #include "reconstruction/fit/seed.hpp"
 
-#include <Eigen/Cholesky>
 #include <array>
 #include <cmath>
 
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
+#include "kalman/vector.hpp"
 #include "motion/helix.hpp"
 #include "reconstruction/fit/annealed.hpp"
 #include "reconstruction/fit/circle.hpp"
@@ -162,14 +162,13 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
 }
 
 // Track from the beam line with azimuth psi0 + w r/2 and z = z0 + tanl r, through wires with azimuth phi +
-// slope z: linear in (psi0, w/2, z0, tanl). For chambers with few axial layers.
+// slope z: linear in (psi0, w/2, z0, tanl), with d = 0. For chambers with few axial layers.
 std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Hit> hits) {
-  Eigen::Matrix4d normal = Eigen::Matrix4d::Zero();
-  // Weak constraints, in units of the wires' error: curvature 1/300 mm, z0 300 mm, tanl 3.
   constexpr double error = 0.02;  // rad, half a cell
-  normal.diagonal() << 0, 1 / std::pow(1.0 / 300, 2), 1 / std::pow(300.0, 2), 1 / 9.0;
-  normal *= error * error;
-  Eigen::Vector4d right = Eigen::Vector4d::Zero();
+  // Weak constraints: curvature 1/300 mm, z0 300 mm, tanl 3.
+  const auto weak = [](double sigma) { return error * error / (sigma * sigma); };
+  Symmetric<double> normal = Symmetric<double>::diagonal({{1, 0, weak(1.0 / 300), weak(300.0), weak(3.0)}});
+  Five<double> right = Five<double>::zero();
   double first = 0;
   int points = 0;
   for (const Hit& hit : hits) {
@@ -179,16 +178,16 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<co
     const double phi = std::atan2(wire.y, wire.x), r = std::sqrt(layer.waist);
     if (points == 0) first = phi;
     const double slope = layer.tan_half_twist / layer.half_length;
-    const Eigen::Vector4d row(1, r, -slope, -slope * r);
-    normal += row * row.transpose();
-    right += row * wrap_angle(phi - first);
+    const Five<double> row = {{0, 1, r, -slope, -slope * r}};
+    normal.add([&](auto i, auto j) { return row[i] * row[j]; });
+    right = right + wrap_angle(phi - first) * row;
     ++points;
   }
   if (points < 5) return std::nullopt;
-  const Eigen::Vector4d found = normal.ldlt().solve(right);
-  if (!found.allFinite()) return std::nullopt;
-  const double kappa = 2 * found[1] / curvature(detector.bz, 1.0);
-  return Perigee{0, wrap_angle(first + found[0]), kappa, found[2], found[3]};
+  const Five<double> found = solve(normal, right);
+  if (!std::isfinite(found[1] + found[2] + found[3] + found[4])) return std::nullopt;
+  const double kappa = 2 * found[2] / curvature(detector.bz, 1.0);
+  return Perigee{0, wrap_angle(first + found[1]), kappa, found[3], found[4]};
 }
 
 }  // namespace
