@@ -152,7 +152,8 @@ def analytic(
     reveal_sides : bool
         Whether wire hits tell their side. If not, hits close to their wire have the weights of the fit.
     fit : FitSettings or None
-        Energy loss, screening and cluster errors that the fit assumes.
+        Energy loss, screening, prior, and `least_width` and `delta_strips` of binary clusters, which always have the
+        errors of ``cluster_errors="track"``.
     samples : int or None
         Tracks that are averaged at each point, best a number without a common factor with the numbers of cells of the
         drift chamber. None: 127, or 1 if nothing varies.

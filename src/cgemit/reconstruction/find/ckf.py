@@ -63,8 +63,8 @@ class FindSettings(SettingsData):
     least_axial : int
         Layers of axial wires and X clusters that a seed of the chamber needs.
     min_score : float
-        Least logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit (0 in a detector of
-        three CGEM layers alone).
+        Least logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit and 4 for tracks of
+        fewer than six hits (in a detector of three CGEM layers alone, beyond 0).
     max_seeds : int
         Most seeds that are followed in an event, of each source, the best first.
     annealing : bool
