@@ -46,8 +46,9 @@ class Tracer {
     set_cut(track_, now_);
   }
 
-  // Traces the lanes `who`.
-  void run(mask_of<T> who) {
+  // Traces the lanes `who`. What the group holds of the lanes `kept` stays as it is.
+  void run(mask_of<T> who, mask_of<T> kept = mask_of<T>(false)) {
+    kept_ = kept;
     reached_ = 0.0;
     group_.stopped = group_.left = mask_of<T>(false);
     group_.dense = !Motion::keeps_dip;
@@ -115,7 +116,8 @@ class Tracer {
 
   void count_reached() {
     for (int k = 0; k < lanes_of<T>; ++k)
-      group_.reached[static_cast<std::size_t>(k)] = static_cast<std::int32_t>(lane(reached_, k));
+      if (!lane(kept_, k))
+        group_.reached[static_cast<std::size_t>(k)] = static_cast<std::int32_t>(lane(reached_, k));
   }
 
   Slot<T>& slot(std::int32_t s) { return group_.slots[static_cast<std::size_t>(s)]; }
@@ -127,10 +129,19 @@ class Tracer {
   }
 
   // The row of a hit that is not met is zero.
-  void found(Slot<T>& slot, mask_of<T> met, T predicted, const Five<T>& row) {
-    slot.met = met;
+  void found(Slot<T>& slot, mask_of<T> met, T extent, T predicted, const Five<T>& row) {
+    Five<T> row_here = all(met) ? row : select<T>(met, row, Five<T>::zero());
+    if (any(kept_)) {
+      slot.met = met | (slot.met & kept_);
+      extent = select(kept_, slot.extent, extent);
+      predicted = select(kept_, slot.predicted, predicted);
+      row_here = select<T>(kept_, slot.row, row_here);
+    } else {
+      slot.met = met;
+    }
+    slot.extent = extent;
     slot.predicted = predicted;
-    slot.row = all(met) ? row : select<T>(met, row, Five<T>::zero());
+    slot.row = row_here;
     reached_ += select(met, T(1.0), T(0.0));
     if (any(met)) observer_.meets(slot, motion_);
   }
@@ -151,8 +162,7 @@ class Tracer {
     const T x = layer.r_readout * positive(atan2(seen.y, seen.x) - slot.edge);
     const mask_of<T> met = reached & slot.there;
     if (slot.view == View::x) {
-      slot.extent = abs(x_extent);
-      found(slot, met, x + around * nearest((slot.drift - x) * (1 / around)), row_x);
+      found(slot, met, abs(x_extent), x + around * nearest((slot.drift - x) * (1 / around)), row_x);
       return;
     }
     const double cosine = layer.cos_stereo, sine = layer.sin_stereo;
@@ -161,7 +171,7 @@ class Tracer {
     const T other = v + select(x < 0.5 * around, T(around * cosine), T(-around * cosine));
     const mask_of<T> near_edge = smaller(x, around - x) < seam_margin;
     const mask_of<T> take_other = near_edge & (abs(other - slot.drift) < abs(v - slot.drift));
-    slot.extent = abs(x_extent * cosine - z_extent * sine);
+    const T extent = abs(x_extent * cosine - z_extent * sine);
     T predicted = select(take_other, other, v);
     Five<T> row = T(cosine) * row_x - T(sine) * (r.along_z + (dip_.tanl * tan_a) * r.across);
     if (any(slot.k != 0.0)) {  // in the same turn as the measured X
@@ -169,7 +179,7 @@ class Tracer {
       predicted = select(slot.k != 0.0, v + cosine * turns - slot.k * (x + turns), predicted);
       row = row - slot.k * row_x;
     }
-    found(slot, met, predicted, row);
+    found(slot, met, extent, predicted, row);
   }
 
   static T positive(T angle) { return select(angle < 0.0, angle + 2 * pi, angle); }
@@ -196,8 +206,8 @@ class Tracer {
   CGEMIT_FLATTEN void meet_wire(Motion& motion, Slot<T>& slot) {
     const mask_of<T> wanted = alive_ & slot.there;
     if (!any(wanted)) {
-      slot.met = mask_of<T>(false);
-      slot.row = Five<T>::zero();
+      slot.met = slot.met & kept_;
+      slot.row = any(kept_) ? select<T>(kept_, slot.row, Five<T>::zero()) : Five<T>::zero();
       return;
     }
     ApproachOf<T> approach;
@@ -207,14 +217,32 @@ class Tracer {
     const auto& [at, r] = motion.passage();
     curled_ = (wanted & (at.outward() < 0.0)) | (curled_ & !wanted);
     const T across = approach.ny * at.ux - approach.nx * at.uy;
-    slot.extent = 0.0;
     mask_of<T> hit = met;
     if constexpr (Observer::provides_hits) hit = met & observer_.on_wire(slot, approach.z_wire);
-    found(slot, hit, approach.doca, across * r.across + approach.nz * r.along_z);
+    found(slot, hit, T(0.0), approach.doca, across * r.across + approach.nz * r.along_z);
   }
 
   // Noise of a slab, then the energy loss of the reference. A lane ends where the particle stops.
-  CGEMIT_FLATTEN void cross(const Slab& slab, std::size_t number, mask_of<T> crosses) {
+  void cross(const Slab& slab, std::size_t number, mask_of<T> crosses) {
+    if (!any(kept_)) {
+      cross_all(slab, number, crosses);
+      return;
+    }
+    const auto keep = [&](auto& noise) {
+      const auto before = noise;
+      cross_all(slab, number, crosses);
+      blend(noise, !kept_, before);
+    };
+    const Kink<T> kink = group_.kinks[number];
+    if constexpr (Motion::keeps_dip)
+      keep(group_.noise[number]);
+    else
+      keep(group_.dense_noise[number]);
+    Kink<T>& now = group_.kinks[number];
+    now.sigma = select(kept_, kink.sigma, now.sigma);
+  }
+
+  CGEMIT_FLATTEN void cross_all(const Slab& slab, std::size_t number, mask_of<T> crosses) {
     Kink<T>& kink = group_.kinks[number];
     if (!any(crosses)) {
       if constexpr (Motion::keeps_dip)
@@ -242,7 +270,7 @@ class Tracer {
     if (any(group_.kinked)) scatter(kink, crosses & group_.kinked);
     const auto act = [&](auto& noise) {
       make_noise(slab, crossing, noise);
-      if (!all(crosses)) mask_noise(noise, crosses);
+      if (!all(crosses)) blend(noise, crosses, {});
       if (any(crosses)) observer_.crosses(slab, noise, kink);
     };
     if constexpr (Motion::keeps_dip)
@@ -287,16 +315,18 @@ class Tracer {
     }
   }
 
+  // Takes the lanes outside `mask` from `other`.
   template <class Noise>
-  static void mask_noise(Noise& noise, mask_of<T> crosses) {
-    const auto blend = [crosses](auto& numbers) {
-      for (T& x : numbers) x = select(crosses, x, T(0.0));
+  static void blend(Noise& noise, mask_of<T> mask, const Noise& other) {
+    const auto take = [mask](auto& numbers, const auto& others) {
+      auto from = others.begin();
+      for (T& x : numbers) x = select(mask, x, *from++);
     };
-    blend(noise.dip);
-    blend(noise.straggling);
-    blend(noise.turn);
-    blend(noise.shift_across);
-    blend(noise.shift_along);
+    take(noise.dip, other.dip);
+    take(noise.straggling, other.straggling);
+    take(noise.turn, other.turn);
+    take(noise.shift_across, other.shift_across);
+    take(noise.shift_along, other.shift_along);
   }
 
   void lose(const SlabCrossing<T>& crossing, mask_of<T> crosses) {
@@ -319,6 +349,7 @@ class Tracer {
   TrackMatterOf<T> track_;
   T reached_{0.0};                           // hits
   mask_of<T> alive_{false}, curled_{false};  // curled: past the outermost point, no cylinder ahead
+  mask_of<T> kept_{false};
   [[no_unique_address]] Observer observer_;
 };
 

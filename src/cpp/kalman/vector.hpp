@@ -27,6 +27,8 @@ struct Five {
   const T& operator[](int i) const { return v[static_cast<std::size_t>(i)]; }
   auto begin() { return v.begin(); }
   auto end() { return v.end(); }
+  auto begin() const { return v.begin(); }
+  auto end() const { return v.end(); }
 };
 
 template <class T>

@@ -43,6 +43,12 @@ struct PerigeeOf {
 };
 using Perigee = PerigeeOf<double>;
 
+template <class T>
+PerigeeOf<T> select(const mask_of<T>& m, const PerigeeOf<T>& a, const PerigeeOf<T>& b) {
+  return {select(m, a.d, b.d), select(m, a.psi, b.psi), select(m, a.kappa, b.kappa), select(m, a.z0, b.z0),
+          select(m, a.tanl, b.tanl)};
+}
+
 // The closest point to the pivot (x, y, z). `per_kappa`: curvature for kappa = 1, or 0 if w is set later.
 template <class T>
 HelixPointOf<T> closest_point(const PerigeeOf<T>& helix, double per_kappa, const T& x = T(0.0),

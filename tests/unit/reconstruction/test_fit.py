@@ -162,6 +162,32 @@ def test_too_few_iterations_is_a_status(event):
     assert np.all(tracks["iterations"] == 1)
 
 
+@pytest.mark.parametrize(
+    ("name", "field"), [("besiii-cgem-design", None), ("besiii-cgem-design", "finite-solenoid"), ("kloe2-like", None)]
+)
+def test_a_reference_that_is_kept_changes_little(name, field):
+    """The fit keeps the reference of a helix nearby; with a small tolerance it follows each helix anew."""
+    detector = load(name) if field is None else load(name).with_field(field)
+    result = cg.run(detector, Gun("mu-", p=(0.3, 2.0), cos_theta=(-0.9, 0.9)), 2000, seed=4)
+    kept, anew = (
+        fit(detector, result.clusters, result.wire_hits, result.candidates, result.candidate_hits, how)["tracks"]
+        for how in (FitSettings(), FitSettings(tolerance=1e-3))
+    )
+    same = (kept["status"] == 0) & (anew["status"] == 0) & (kept["n_outliers"] == anew["n_outliers"])
+    assert np.mean(same) > 0.98
+    for parameter in PARAMETERS:
+        error = anew[f"err_{parameter}"]
+        off = np.abs(helix_difference(kept, anew, parameter) / error)[same]
+        assert np.median(off) < 0.002
+        assert np.quantile(off, 0.99) < 0.5 * FitSettings().tolerance
+        assert np.median(np.abs(kept[f"err_{parameter}"] / error - 1)[same]) < 0.003
+
+
+def helix_difference(tracks_a: Table, tracks_b: Table, parameter: str) -> npt.NDArray[np.float64]:
+    difference = tracks_a[parameter] - tracks_b[parameter]
+    return np.remainder(difference + np.pi, 2 * np.pi) - np.pi if parameter == "phi0" else difference
+
+
 def test_slow_particles_are_fitted_with_the_momentum_they_started_with():
     """Protons of 0.25 GeV/c lose so much on the way that the momentum they end with would not take them there."""
     gun = Gun("proton", pt=0.25, cos_theta=0.0)

@@ -27,6 +27,10 @@ WALL = next(slab for slab in slabs(DETECTOR) if slab.shells[0].group == "wall")
 PLACES = ("origin", "beam_line", 10.0, "beam_pipe", 50.0, 250.0, 500.0, "hits", 1000.0)
 
 
+#: Tolerance of fits whose derivatives are those about a reference close to the fitted track.
+CLOSE = 1e-3
+
+
 def states_of(surfaces, gun=None, n=40, **changes):
     """Return the result of a run in which everything is Gaussian, and its states."""
     settings = dataclasses.replace(EXACT, fit=FitSettings(states=surfaces, residuals=True, **changes))
@@ -38,7 +42,7 @@ def states_of(surfaces, gun=None, n=40, **changes):
 @pytest.fixture(scope="module")
 def run():
     """Return 40 muons with states everywhere."""
-    return states_of(PLACES)
+    return states_of(PLACES, tolerance=CLOSE)
 
 
 def rows(table, **values):
@@ -141,7 +145,6 @@ def test_nothing_happens_in_vacuum(run):
     )
     for other in (inside, pipe):
         moved = helix.change_pivot(parameters(origin), origin["cov"], [0, 0, 0], pivots(other), DETECTOR.field.bz)
-        # The fit's derivatives are those about its last reference, a fraction of a standard deviation away.
         assert_same(parameters(other), other["cov"], *moved, tolerance=1e-4)
     moved, cov = helix.change_pivot(parameters(origin), origin["cov"], [0, 0, 0], pivots(beyond), DETECTOR.field.bz)
     assert np.all(np.abs(beyond["kappa"]) > np.abs(moved[:, 2]) * (1 + 1e-4))
@@ -238,7 +241,7 @@ def test_rows_without_a_state_say_why():
 def test_asking_for_states_changes_no_track(run):
     """Tracks are the same with and without."""
     result, _ = run
-    settings = dataclasses.replace(result.settings, fit=FitSettings())
+    settings = dataclasses.replace(result.settings, fit=FitSettings(tolerance=CLOSE))
     bare = cg.run(DETECTOR, result.gun, 40, seed=5, settings=settings)
     assert bare.tracks == result.tracks.with_columns()
     assert bare.states is None
@@ -502,7 +505,9 @@ def test_a_way_out_of_the_map_has_its_status(tmp_path):
 def test_states_of_a_run_hold_together(field):
     """Points on their cylinders, positive definite covariances, and pulls of hits as in the residuals table."""
     radii = (10.0, 50.0, 250.0, 500.0, 900.0)
-    settings = cg.Settings(fit=cg.FitSettings(states=("origin", "beam_line", *radii, "hits"), residuals=True))
+    settings = cg.Settings(
+        fit=cg.FitSettings(states=("origin", "beam_line", *radii, "hits"), residuals=True, tolerance=CLOSE)
+    )
     gun = cg.Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.8, 0.8), vertex_sigma=(1.0, 1.0, 5.0))
     result = cg.run(UNIFORM.with_field(field), gun, 30, seed=5, settings=settings)
     states = result.states

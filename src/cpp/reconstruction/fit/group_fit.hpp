@@ -32,6 +32,8 @@ class GroupFit {
     wires_only_ = wires_first & open_;
     kinks_ = kinks;
     chi2_ = T(0.0);
+    near_ = mask_of<T>(false);
+    was_rough_ = false;
     active_ = mask_of<T>(false);
     for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
     Five<T> prior;
@@ -57,11 +59,16 @@ class GroupFit {
   static constexpr int last_return = 8;      // from this iteration on, outliers do not return
   static constexpr int kink_iterations = 4;  // iterations that must remain for kinks to converge
   static constexpr double least_scattering = 5e-5;  // rad^2; smaller variances are linear
+  // A reference is kept for a helix that is this near, each times the tolerance.
+  static constexpr double near_bend = 0.01;     // mm, neglected in a residual
+  static constexpr double near_momentum = 0.1;  // relative
+  static constexpr double near_sigmas = 100;
 
   // The results of one iteration.
   struct Iteration {
     bool last;
     bool rough;              // in a uniform field instead of the map
+    mask_of<T> kept;         // lanes whose reference and rows are those of the last iteration
     mask_of<T> works;        // lanes that are still being fitted
     FilteredState<T> state;  // at the origin, about the reference
     T moved;                 // largest step of a parameter, in standard deviations, squared
@@ -73,6 +80,12 @@ class GroupFit {
     Iteration now{};
     now.last = iteration_ + 1 == settings_.max_iterations;
     now.rough = iteration_ < rough_iterations && !now.last && !detector_.field.is_uniform();
+    now.kept = near_ & active_ & !group_.kinked;
+    if (was_rough_ && !now.rough) {
+      now.kept = mask_of<T>(false);
+      take_mean_field();
+    }
+    was_rough_ = now.rough;
     linearise(now, mass, projectile);
     if (!any(now.works)) return;
     filter_inward(now, prior);
@@ -83,7 +96,9 @@ class GroupFit {
   // Follows the reference trajectory and computes the measurement of every hit on it.
   void linearise(Iteration& now, T mass, Projectile projectile) {
     if (iteration_ > patient_iterations) give_up_hits();
-    trace(mass, projectile, now.rough);
+    if (any(active_ & !now.kept)) trace(mass, projectile, now.kept, now.rough);
+    if (any(now.kept)) follow_extents(group_, detector_, extents_at_, helix_, now.kept);
+    extents_at_ = helix_;
     mask_of<T> works = active_;
     if (any(group_.stopped)) works = works & !speed_up(now.last);
     passed_ = select(works, helix_.kappa, passed_);
@@ -105,14 +120,35 @@ class GroupFit {
     now.state = filter(detector_, group_, reference_.prior);
     now.works = now.works & !finish(now.works & !(positive_definite(now.state.c) & sound(now.state)),
                                     FitStatus::not_positive_definite);
+    reference_.helix = select<T>(now.kept, reference_.helix, helix_);
+    if (any(group_.kinked)) reference_.kinks = group_.kinks;
+    moved_ = select<T>(now.kept, moved_, Five<T>::zero());
+    const Five<T> step = now.state.x - moved_;
     now.moved = T(0.0);
     unroll<parameters>([&](auto i) {
-      now.moved = larger(now.moved, now.state.x[i] * now.state.x[i] / now.state.c(i, i));
+      now.moved = larger(now.moved, step[i] * step[i] / now.state.c(i, i));
       variance_[i] = select(now.works, now.state.c(i, i), variance_[i]);
     });
-    reference_.helix = helix_;
-    if (any(group_.kinked)) reference_.kinks = group_.kinks;
-    move(now.state.x, now.works);
+    move(step, now.works);
+    near_ = now.works & is_near(now.state);
+  }
+
+  // Whether a helix is so close to the reference that a new reference would give the same fit: rows are exact
+  // but for the square of the distance times the curvature, noise and loss change with the momentum, and the
+  // filter's prior pulls towards the reference.
+  mask_of<T> is_near(const FilteredState<T>& state) const {
+    T farthest(0.0), sigmas(0.0);
+    for (const Slot<T>& slot : group_.slots) {
+      const Five<T>&h = slot.row, &x = state.x;
+      // V is linear in z.
+      const T away = slot.view == View::wire ? dot(h, x) : h[0] * x[0] + h[1] * x[1] + h[2] * x[2];
+      farthest = larger(farthest, abs(away));
+    }
+    unroll<parameters>([&](auto i) { sigmas = larger(sigmas, state.x[i] * state.x[i] / state.c(i, i)); });
+    const T bend = abs(curvature(detector_.bz, 1.0) * helix_.kappa), slower = abs(state.x[2] / helix_.kappa);
+    const double t = settings_.tolerance;
+    return (0.5 * farthest * farthest * bend < near_bend * t) & (slower < near_momentum * t) &
+           (sigmas < near_sigmas * near_sigmas * t * t) & !group_.left;
   }
 
   // Residuals to the track without the hit. They update the weights of sides, outliers and kinks, and are
@@ -171,11 +207,12 @@ class GroupFit {
 
   // The first iterations, which start some standard deviations off and look for the sides of the wires, take
   // the field at the origin for the field everywhere: a fifth of the time of a map.
-  void trace(T mass, Projectile projectile, bool roughly) {
+  void trace(T mass, Projectile projectile, mask_of<T> kept, bool roughly) {
+    const mask_of<T> who = active_ & !kept;
     if (detector_.field.is_uniform() || roughly) {
-      Tracer<T>(detector_, helix_, mass, projectile, group_).run(active_);
+      Tracer<T>(detector_, helix_, mass, projectile, group_).run(who, kept);
     } else {
-      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_).run(active_);
+      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_).run(who, kept);
     }
   }
 
@@ -193,6 +230,33 @@ class GroupFit {
       unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * (variance_[i] + noise[i]), prior[i]); });
     }
     return Symmetric<T>::diagonal(variance);
+  }
+
+  // The rough iterations end with the right curvature, but in the field at the origin. The momentum follows
+  // from the mean field that bends the track up to its last hit. The weights are those of the curvature of a
+  // parabola through evenly spaced hits, from an eighth of the way on.
+  void take_mean_field() {
+    T last(0.0);
+    for (const Slot<T>& slot : group_.slots) {
+      const T radius = slot.view == View::wire
+                           ? sqrt(slot.wire.x * slot.wire.x + slot.wire.y * slot.wire.y)
+                           : T(detector_.layers[static_cast<std::size_t>(slot.layer)].r_mid());
+      last = larger(last, select(slot.met, radius, T(0.0)));
+    }
+    const HelixPointOf<T> origin = closest_point(helix_, curvature(detector_.bz, 1.0));
+    HelixPointOf<T> end = origin;
+    T arc(0.0);
+    const mask_of<T> reached = step_to_cylinder(end, last, arc);
+    arc = select(reached, arc, arc_to_apex(origin));
+    T mean(0.0);
+    for (const auto& [part, weight] : {std::pair{0.34, 9.0}, {0.56, 16.0}, {0.78, 9.0}}) {
+      HelixPointOf<T> at = origin;
+      advance(at, T(part * arc));
+      const Vec3<T> b = detector_.field.at(Vec3<T>{at.x, at.y, at.z}).b;
+      mean += (weight / 34) * (b.z - at.tanl * (at.ux * b.x + at.uy * b.y));
+    }
+    helix_.kappa =
+        select(active_ & (mean * detector_.bz > 0.0), helix_.kappa * detector_.bz / mean, helix_.kappa);
   }
 
   mask_of<T> has_open_sides() const {
@@ -244,6 +308,7 @@ class GroupFit {
   void move(const Five<T>& x, mask_of<T> who) {
     const T limit = larger(0.5 * abs(helix_.kappa), 0.2);
     const T fraction = select(who, smaller(T(1.0), limit / larger(abs(x[2]), 1e-12)), T(0.0));
+    moved_ = moved_ + fraction * x;
     const auto step = [&](T& parameter, T by) {
       parameter = select(who, parameter + fraction * by, parameter);
     };
@@ -279,6 +344,10 @@ class GroupFit {
   T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 if none
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;
+  mask_of<T> near_;          // lanes that may keep their reference
+  Five<T> moved_;            // from the reference to `helix_`
+  PerigeeOf<T> extents_at_;  // helix for which the extents of the slots hold
+  bool was_rough_ = false;
   T chi2_;  // of the previous iteration
   bool kinks_ = true;
   int iteration_ = 0;

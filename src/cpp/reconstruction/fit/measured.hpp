@@ -37,6 +37,31 @@ CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const 
   }
 }
 
+// Projection of the path in a drift gap on X or V, mm, with a sign, for a helix without matter.
+template <class T>
+T extent_of(const MeasuringLayer& layer, View view, const PerigeeOf<T>& helix, double bz) {
+  const double r = layer.r_mid(), gap = layer.r_gap_out - layer.r_gap_in;
+  // Between flight and radius, from dS/d(r^2) = w/2 (motion/helix.hpp).
+  const T sine = (helix.d + 0.5 * curvature(bz, helix.kappa) * (r * r - helix.d * helix.d)) * (1 / r);
+  const T per_cosine = 1.0 / sqrt(larger(1.0 - sine * sine, 1e-6));
+  const T x = (layer.r_readout / r * gap) * sine * per_cosine;
+  if (view == View::x) return x;
+  return layer.cos_stereo * x - (layer.sin_stereo * gap) * per_cosine * helix.tanl;
+}
+
+// Extents of the lanes `who`, traced for the helix `before`, for the helix `now` close to it.
+template <class T>
+void follow_extents(Group<T>& group, const Detector& detector, const PerigeeOf<T>& before,
+                    const PerigeeOf<T>& now, mask_of<T> who) {
+  for (Slot<T>& slot : group.slots) {
+    if (slot.view == View::wire) continue;
+    const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(slot.layer)];
+    const T from = extent_of(layer, slot.view, before, detector.bz);
+    const T to = extent_of(layer, slot.view, now, detector.bz);
+    slot.extent = select(who, abs(copysign(slot.extent, from) + to - from), slot.extent);
+  }
+}
+
 // Probability of each side from the track fitted without the hit. `early`: the errors of the predictions are
 // underestimated. True where no weight changed any more.
 template <class T>
