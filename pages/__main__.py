@@ -15,6 +15,7 @@ import matplotlib as mpl
 from pages import (
     alignment,
     background,
+    cluster,
     covariance,
     data_model,
     deltas,
@@ -32,6 +33,7 @@ from pages import (
     readout,
     robustness,
     settings,
+    vertex,
 )
 from pages.page import DATA, IMAGES, ROOT, Page, markers
 
@@ -51,6 +53,8 @@ PAGES: dict[str, Page] = {
         mismatch.PAGE,
         alignment.PAGE,
         background.PAGE,
+        vertex.PAGE,
+        cluster.PAGE,
         readout.PAGE,
         settings.PAGE,
         data_model.PAGE,

@@ -1,11 +1,11 @@
-"""docs/methods/background.md: generated background beside that of ten random triggers of 2009.
+"""docs/methods/background.md: generated background beside random triggers of 2009, and its effect on tracks.
 
-The measured numbers are those of events that are published with pybes3: hits with a valid time within 2 us.
+The measured numbers are those of ten events that are published with pybes3: hits with a valid time within 2 us.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
@@ -13,8 +13,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cgemit as cg
+from cgemit.analysis.finding import finding
 from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import add_background
+from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, share_of, table
 
 EVENTS, SEED = 4000, 1
@@ -29,6 +32,50 @@ RUNS = (646, 167, 52, 39, 25, 21, 51)
 INNER, OUTER, ALONE = 65, 162, 28
 #: Clusters of an event in the CGEM layers in 1 us, extrapolated from the wires.
 CLUSTERS = (4.9, 3.0, 2.9)
+#: Row of the table of effects -> level, keys of the background with their values.
+EFFECTS = {
+    "nothing, `bes2009`": ("bes2009", {}),
+    "nothing, `bes2026`": ("bes2026", {}),
+    "`dead_wires` 10 %": ("bes2009", {"dead_wires": "10 %"}),
+    "`dead_strips` 5 %": ("bes2009", {"dead_strips": "5 %"}),
+    "`efficiency_x` and `efficiency_v` 95 %": ("bes2026", {"efficiency_x": "95 %", "efficiency_v": "95 %"}),
+    "`efficiency_wires` 95 %": ("bes2026", {"efficiency_wires": "95 %"}),
+}
+TRACKS, START_TRACKS = 4000, 6000
+WIDTHS = (("dr", "σ(d_ρ) µm"), ("dz", "σ(d_z) mm"), ("p", "σ(p) MeV/c"))
+CHAMBERS = ("besiii-cgem", "besiii-idc")
+SPREAD = 5.0  # ns
+#: Row of the table of drift times -> settings; `uncorrected` fits the hits as measured.
+TIMES: dict[str, dict[str, dict[str, object]]] = {
+    "exact": {},
+    "start time with a spread of 5 ns": {"background": {"start_time": SPREAD}},
+    "the same, `refine.start_time=fitted`": {
+        "background": {"start_time": SPREAD}, "refine": {"start_time": "fitted"},
+    },
+    "`digitize.wire_times=raw`": {"digitize": {"wire_times": "raw"}},
+    "the same, uncorrected": {"digitize": {"wire_times": "raw"}},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A core width, in um, mm or MeV/c, and the tracking efficiency."""
+
+    changed: str
+    quantity: str
+    core: float
+    error: float
+    found: float
+
+
+@dataclass(frozen=True)
+class Times:
+    """Core width of the momentum, MeV/c."""
+
+    times: str
+    detector: str
+    core: float
+    error: float
 
 
 @dataclass(frozen=True)
@@ -99,6 +146,38 @@ def measure(share: float) -> Numbers:
     return Numbers(rows, {"events": f"{events:,} events"})
 
 
+def effects(share: float) -> Numbers:
+    """Find and fit the same muons with background, dead channels and inefficiencies."""
+    events, rows = share_of(TRACKS, share, 200), []
+    for changed, (level, keys) in EFFECTS.items():
+        detector = cg.load("besiii-cgem").with_overrides({f"background.{level}.{k}": v for k, v in keys.items()})
+        settings = cg.Settings(background=cg.BackgroundSettings(level=level))
+        muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9))
+        result = cg.run(detector, muons, events, SEED, settings=settings, finder="ckf")
+        found = finding(result).rates().efficiency.value
+        for name, _ in WIDTHS:
+            width = cg.resolution(result, name)
+            rows.append(Effect(changed, name, width.core, width.core_error, found))
+    return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})
+
+
+def times(share: float) -> Numbers:
+    """Fit the same muons with start times and drift times that are not exact."""
+    events, rows = share_of(START_TRACKS, share, 200), []
+    for label, stages in TIMES.items():
+        for name in CHAMBERS:
+            muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
+            result = cg.run(name, muons, events, SEED, settings=cg.Settings.from_dict(stages))
+            width = cg.resolution(result, "p")
+            if "uncorrected" in label:
+                hits = (result.clusters, result.wire_hits, result.candidates, result.candidate_hits)
+                tracks = fit(result.detector, *hits)["tracks"]
+                good = (tracks["status"] == 0) & np.isfinite(result.tracks["truth_p"])
+                width = cg.study.measure(1e3 * (tracks["p"] - result.tracks["truth_p"])[good], parameter="p")
+            rows.append(Times(label, name, width.core, width.core_error))
+    return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})
+
+
 def values(found: Found) -> dict[str, np.ndarray]:
     """Return the numbers on file as arrays, by quantity."""
     rows = found["generated"].rows
@@ -119,7 +198,31 @@ def blocks(found: Found) -> dict[str, str]:
           for layer, value in SHARES.items() if layer in (0, 8, 20, 42)),
         ("clusters in X an event, L1 / L2 / L3 (extrapolated)", _joined(CLUSTERS, 1), _joined(got["clusters"], 1)),
     ]  # fmt: skip
-    return {"generated": table(["", "measured", "generated"], rows)}
+    return {
+        "generated": table(["", "measured", "generated"], rows),
+        "effects": _effects(found["effects"].rows),
+        "times": _times(found["times"].rows),
+    }
+
+
+def _effects(rows: Sequence[Effect]) -> str:
+    """Return the table of effects; the first rows show their errors."""
+    cells = {(row.changed, row.quantity): row for row in rows}
+    lines = []
+    for changed in EFFECTS:
+        line = [changed]
+        for name, _ in WIDTHS:
+            row = cells[changed, name]
+            shown = with_error(row.core, row.error)
+            line.append(shown if changed.startswith("nothing") else shown.partition(" ")[0])
+        lines.append(line)
+    return table(["changed", *(head for _, head in WIDTHS)], lines)
+
+
+def _times(rows: Sequence[Times]) -> str:
+    cells = {(row.times, row.detector): with_error(row.core, row.error) for row in rows}
+    lines = [[label, *(cells[label, name] for name in CHAMBERS)] for label in TIMES]
+    return table(["drift times", *(f"`{name}`, σ(p) MeV/c" for name in CHAMBERS)], lines)
 
 
 def _joined(numbers: object, digits: int) -> str:
@@ -145,6 +248,7 @@ def draw(found: Found) -> Figure:
 
 
 PAGE = Page(
-    "background", "docs/methods/background.md", "1 min", {"generated": (Generated, measure)}, blocks,
+    "background", "docs/methods/background.md", "1 min",
+    {"generated": (Generated, measure), "effects": (Effect, effects), "times": (Times, times)}, blocks,
     {"background.png": draw},
 )  # fmt: skip

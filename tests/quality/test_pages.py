@@ -284,6 +284,16 @@ def test_background_is_what_is_generated() -> None:
         np.testing.assert_allclose(found[name], numbers, rtol=0.12, atol=0.6, err_msg=name)
 
 
+def test_background_costs_what_the_text_says() -> None:
+    found = background.PAGE.read()
+    assert all(row.found > 0.999 for row in found["effects"].rows)
+    width = {(row.times, row.detector): row.core for row in found["times"].rows}
+    for detector in background.CHAMBERS:
+        exact, _, _, raw, uncorrected = (width[label, detector] for label in background.TIMES)
+        assert raw == pytest.approx(exact, rel=0.002)
+        assert 1.2 < uncorrected / exact < 1.25
+
+
 def test_runs_go_around_the_chamber() -> None:
     # Layer 0 of six cells: 5, 0, 1 in event 0, two runs 2-3 and 5 in event 1; layer 1 of four cells: all of them.
     wires = {
