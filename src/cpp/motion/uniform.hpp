@@ -34,7 +34,7 @@ class UniformMotionOf {
   }
   // Moves by an arc, forward or backward.
   void along(Point& point, const T& arc) const { advance(point, arc); }
-  Mask approach(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, const Mask& who) const {
+  Mask approach_near(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, const Mask& who) const {
     return approach_wire(point, wire, result, who);
   }
   static Mask left() { return Mask(false); }

@@ -255,7 +255,7 @@ class Flight {
     const CellNumbers<T> cell = cell_numbers(layer, select(who, range.first, T(0.0)));
     Point closest = range.at_wires;
     ApproachOf<T> approach;
-    const Mask settled = motion_.approach(closest, cell_wires<T>(layer, cell), approach, who);
+    const Mask settled = motion_.approach_near(closest, cell_wires<T>(layer, cell), approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
     // Cells fire neither behind the vertex, nor beyond the ends of the wires, nor after the decay.
     const Mask meets = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
