@@ -1,8 +1,9 @@
+#include "bindings/matter.hpp"
+
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "bindings/matter.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 #include "simulation/transport/slabs.hpp"
