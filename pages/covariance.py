@@ -146,7 +146,7 @@ def draw(found: Found) -> Picture:
 def blocks(found: Found) -> dict[str, str]:
     """Return what was run, and mean ratios with the number that fail and the one farthest from 1."""
     rows = found["ratios"].rows
-    lines = []
+    lines, tails = [], [row.ratio for row in rows if row.mode == "default"]
     for mode, detector in dict.fromkeys((row.mode, row.detector) for row in rows):
         own = [row for row in rows if (row.mode, row.detector) == (mode, detector)]
         means = [
@@ -160,6 +160,7 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         "checks-sample": f"{len(rows) // len(QUANTITIES)} points (preset, particle, momentum, angle), with "
         f"{found['ratios'].about['events']} each",
+        "mean-default": f"{sum(tails) / len(tails):.3f}",
         "checks": table(["mode", "detector", "mean ratios", "fail", "farthest from 1"], lines),
     }
 
