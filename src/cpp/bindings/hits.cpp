@@ -52,16 +52,16 @@ void HitColumns::check_order(std::span<const std::int64_t> offsets) const {
 }
 
 void HitColumns::take(std::size_t first, std::size_t n, std::vector<Hit>& out) const {
-  out.clear();
+  out.resize(n);
   for (std::size_t i = first; i < first + n; ++i) {
-    out.push_back({.view = static_cast<View>(hits_.kind[i]),
-                   .layer = rules_.index(hits_.kind[i], hits_.layer[i]),
-                   .channel = hits_.channel[i],
-                   .size = hits_.size[i],
-                   .value = hits_.value[i],
-                   .sigma = hits_.sigma[i],
-                   .k = hits_.k.empty() ? 0 : hits_.k[i],
-                   .x = hits_.x.empty() ? 0 : hits_.x[i]});
+    out[i - first] = {.view = static_cast<View>(hits_.kind[i]),
+                      .layer = rules_.index(hits_.kind[i], hits_.layer[i]),
+                      .channel = hits_.channel[i],
+                      .size = hits_.size[i],
+                      .value = hits_.value[i],
+                      .sigma = hits_.sigma[i],
+                      .k = hits_.k.empty() ? 0 : hits_.k[i],
+                      .x = hits_.x.empty() ? 0 : hits_.x[i]};
   }
 }
 

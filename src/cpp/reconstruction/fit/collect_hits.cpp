@@ -37,40 +37,69 @@ class Collector {
         problems_.add("candidates row " + std::to_string(i) + ": mass: got " + to_text(mass) +
                       ", expected a finite number above 0, GeV/c2");
     }
-    std::vector<std::int64_t> next(offsets_.begin(), offsets_.end() - 1);
-    entries_.resize(static_cast<std::size_t>(offsets_.back()));
-    for (std::size_t i = 0; i < candidates_.view.size(); ++i) {
-      if (!problems_.empty() && !is_there(i)) continue;
-      auto& at = next[static_cast<std::size_t>(candidates_.candidate[i])];
-      add(i, at);
-    }
-    sort();
-    if (!clusters_.corr_xv.empty() && problems_.empty()) part_views();
-    CollectedHits hits = columns();
+    for (std::size_t i = 0; i + 1 < first_.size(); ++i) collect(i);
     if (!problems_.empty()) {
-      const HitView view{hits.kind,  hits.layer, hits.channel, hits.size, hits.value,
-                         hits.sigma, hits.k,     hits.x,       hits.side, hits.row};
+      const HitView view{hits_.kind,  hits_.layer, hits_.channel, hits_.size, hits_.value,
+                         hits_.sigma, hits_.k,     hits_.x,       hits_.side, hits_.row};
       add_problems(rules_, view, problems_);
       problems_.raise("hits of candidates");
     }
-    return hits;
+    return std::move(hits_);
   }
 
  private:
-  // Counts the hits of each candidate.
+  // Lists the hits of each candidate, and makes room for them.
   void count() {
-    offsets_.assign(candidates_.event.size() + 1, 0);
-    bool all = true;
-    for (std::size_t i = 0; i < candidates_.view.size(); ++i) {
-      const bool there = is_there(i);
-      all &= there;
-      if (there)
-        offsets_[static_cast<std::size_t>(candidates_.candidate[i]) + 1] +=
-            candidates_.view[i] == point_view ? 2 : 1;
+    const std::size_t n = candidates_.event.size();
+    first_.assign(n + 1, 0);
+    hits_.offsets.assign(n + 1, 0);
+    std::vector<std::uint8_t> there(candidates_.view.size());
+    for (std::size_t i = 0; i < there.size(); ++i) {
+      if (!is_there(i)) continue;
+      there[i] = 1;
+      const auto after = static_cast<std::size_t>(candidates_.candidate[i]) + 1;
+      ++first_[after];
+      hits_.offsets[after] += candidates_.view[i] == point_view ? 2 : 1;
     }
-    for (std::size_t i = 1; i < offsets_.size(); ++i) offsets_[i] += offsets_[i - 1];
-    for (std::size_t i = 0; !all && i < candidates_.view.size(); ++i)
-      if (!is_there(i)) explain(i);
+    for (std::size_t i = 1; i <= n; ++i) {
+      first_[i] += first_[i - 1];
+      hits_.offsets[i] += hits_.offsets[i - 1];
+    }
+    chosen_.resize(first_.back());
+    std::vector<std::size_t> next(first_.begin(), first_.end() - 1);
+    for (std::size_t i = 0; i < there.size(); ++i) {
+      if (there[i] != 0)
+        chosen_[next[static_cast<std::size_t>(candidates_.candidate[i])]++] = i;
+      else
+        explain(i);
+    }
+    const auto room = static_cast<std::size_t>(hits_.offsets.back());
+    hits_.kind.resize(room);
+    hits_.side.resize(room);
+    for (auto* values : {&hits_.layer, &hits_.channel, &hits_.size}) values->resize(room);
+    for (auto* values : {&hits_.value, &hits_.sigma, &hits_.k, &hits_.x}) values->resize(room);
+    hits_.row.resize(room);
+  }
+
+  void collect(std::size_t candidate) {
+    entries_.clear();
+    for (std::size_t i = first_[candidate]; i < first_[candidate + 1]; ++i) add(chosen_[i]);
+    sort(candidate);
+    if (!clusters_.corr_xv.empty() && problems_.empty()) part_views();
+    auto i = static_cast<std::size_t>(hits_.offsets[candidate]);
+    for (const Entry& entry : entries_) {
+      hits_.kind[i] = entry.kind;
+      hits_.side[i] = entry.side;
+      hits_.layer[i] = entry.layer;
+      hits_.channel[i] = entry.channel;
+      hits_.size[i] = entry.size;
+      hits_.value[i] = entry.value;
+      hits_.sigma[i] = entry.sigma;
+      hits_.k[i] = entry.k;
+      hits_.x[i] = entry.x;
+      hits_.row[i] = entry.row;
+      ++i;
+    }
   }
 
   std::span<const std::int64_t> events(std::int8_t view) const {
@@ -120,13 +149,13 @@ class Collector {
               std::to_string(candidates_.event[static_cast<std::size_t>(candidate)]));
   }
 
-  void add(std::size_t i, std::int64_t& at) {
+  void add(std::size_t i) {
     const std::int8_t view = candidates_.view[i];
     const std::int64_t number = candidates_.row[i];
     const auto row = static_cast<std::size_t>(number);
     const auto put = [&](Entry entry) {
       entry.surface = rules_.surface(entry.kind, entry.layer);
-      entries_[static_cast<std::size_t>(at++)] = entry;
+      entries_.push_back(entry);
     };
     if (view == wire_view) {
       put({2, wires_.side[row], 0, wires_.layer[row], wires_.wire[row], 0, wires_.drift[row],
@@ -150,81 +179,49 @@ class Collector {
     put({1, 0, 0, layer, sheet, 0, k == 0 ? v : v - k * x, sigma, k, k == 0 ? 0 : x, number});
   }
 
-  void sort() {
+  void sort(std::size_t candidate) {
     const auto before = [](const Entry& a, const Entry& b) { return a.order() < b.order(); };
-    for (std::size_t i = 0; i + 1 < offsets_.size(); ++i) {
-      const auto mine = std::span(entries_).subspan(static_cast<std::size_t>(offsets_[i]),
-                                                    static_cast<std::size_t>(offsets_[i + 1] - offsets_[i]));
-      if (!std::ranges::is_sorted(mine, before)) std::ranges::sort(mine, before);
-      for (std::size_t j = 1; j < mine.size(); ++j) {
-        if (!mine[j].repeats(mine[j - 1])) continue;
-        problems_.add("candidates row " + std::to_string(i) + ": got " +
-                      (mine[j].kind == 2 ? "wire_hits" : "clusters") + " row " + std::to_string(mine[j].row) +
-                      " twice, expected once");
-      }
+    if (!std::ranges::is_sorted(entries_, before)) std::ranges::sort(entries_, before);
+    for (std::size_t j = 1; j < entries_.size(); ++j) {
+      if (!entries_[j].repeats(entries_[j - 1])) continue;
+      problems_.add("candidates row " + std::to_string(candidate) + ": got " +
+                    (entries_[j].kind == 2 ? "wire_hits" : "clusters") + " row " +
+                    std::to_string(entries_[j].row) + " twice, expected once");
     }
   }
 
   // Takes from each V cluster what it has in common with the X cluster of the same crossing: one with no
   // other cluster of the sheet in the candidate.
   void part_views() {
-    for (std::size_t i = 0; i + 1 < offsets_.size(); ++i) {
-      const auto mine = std::span(entries_).subspan(static_cast<std::size_t>(offsets_[i]),
-                                                    static_cast<std::size_t>(offsets_[i + 1] - offsets_[i]));
-      const auto alike = [&](std::size_t a, std::size_t b) {
-        return mine[a].surface == mine[b].surface && mine[a].channel == mine[b].channel;
-      };
-      for (std::size_t j = 1; j < mine.size(); ++j) {
-        const Entry& x = mine[j - 1];
-        Entry& v = mine[j];
-        const bool pair = x.kind == 0 && v.kind == 1 && alike(j - 1, j) && (j < 2 || !alike(j - 2, j)) &&
-                          (j + 1 == mine.size() || !alike(j, j + 1));
-        if (!pair || x.row == v.row) continue;  // of one row: an XV point
-        const double rho = clusters_.corr_xv[static_cast<std::size_t>(v.row)];
-        if (!(std::abs(rho) < 1)) {
-          problems_.add("clusters row " + std::to_string(v.row) + ": corr_xv: got " + to_text(rho) +
-                        ", expected a number between -1 and 1");
-        } else if (rho != 0 && x.sigma > 0) {
-          v.k = rho * v.sigma / x.sigma;
-          v.x = x.value;
-          v.value -= v.k * x.value;
-          v.sigma *= std::sqrt(1 - rho * rho);
-        }
+    const auto alike = [&](std::size_t a, std::size_t b) {
+      return entries_[a].surface == entries_[b].surface && entries_[a].channel == entries_[b].channel;
+    };
+    for (std::size_t j = 1; j < entries_.size(); ++j) {
+      const Entry& x = entries_[j - 1];
+      Entry& v = entries_[j];
+      const bool pair = x.kind == 0 && v.kind == 1 && alike(j - 1, j) && (j < 2 || !alike(j - 2, j)) &&
+                        (j + 1 == entries_.size() || !alike(j, j + 1));
+      if (!pair || x.row == v.row) continue;  // of one row: an XV point
+      const double rho = clusters_.corr_xv[static_cast<std::size_t>(v.row)];
+      if (!(std::abs(rho) < 1)) {
+        problems_.add("clusters row " + std::to_string(v.row) + ": corr_xv: got " + to_text(rho) +
+                      ", expected a number between -1 and 1");
+      } else if (rho != 0 && x.sigma > 0) {
+        v.k = rho * v.sigma / x.sigma;
+        v.x = x.value;
+        v.value -= v.k * x.value;
+        v.sigma *= std::sqrt(1 - rho * rho);
       }
     }
-  }
-
-  CollectedHits columns() {
-    CollectedHits hits;
-    const std::size_t n = entries_.size();
-    hits.kind.resize(n);
-    hits.side.resize(n);
-    for (auto* values : {&hits.layer, &hits.channel, &hits.size}) values->resize(n);
-    for (auto* values : {&hits.value, &hits.sigma, &hits.k, &hits.x}) values->resize(n);
-    hits.row.resize(n);
-    for (std::size_t i = 0; i < n; ++i) {
-      const Entry& entry = entries_[i];
-      hits.kind[i] = entry.kind;
-      hits.side[i] = entry.side;
-      hits.layer[i] = entry.layer;
-      hits.channel[i] = entry.channel;
-      hits.size[i] = entry.size;
-      hits.value[i] = entry.value;
-      hits.sigma[i] = entry.sigma;
-      hits.k[i] = entry.k;
-      hits.x[i] = entry.x;
-      hits.row[i] = entry.row;
-    }
-    hits.offsets = std::move(offsets_);
-    return hits;
   }
 
   HitRules rules_;
   const CandidateInput& candidates_;
   const ClusterInput& clusters_;
   const WireInput& wires_;
-  std::vector<std::int64_t> offsets_;
-  std::vector<Entry> entries_;
+  std::vector<std::size_t> first_, chosen_;  // rows of the hits of each candidate, and where they begin
+  std::vector<Entry> entries_;               // of one candidate
+  CollectedHits hits_;
   Problems problems_;
 };
 
