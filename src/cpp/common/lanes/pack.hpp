@@ -200,6 +200,17 @@ Pack<W> nearest(Pack<W> x) {
   return (x + 0x1.8p52) - 0x1.8p52;
 }
 
+// Of all lanes.
+template <int W>
+double sum(Pack<W> x) {
+#if defined(__AVX512F__)
+  if constexpr (W == 8) return _mm512_reduce_add_pd(x.v);
+#endif
+  double all = 0;
+  for (int i = 0; i < W; ++i) all += x.v[i];
+  return all;
+}
+
 template <int W>
 double lane(const Pack<W>& x, int i) {
   return x.v[i];
@@ -230,6 +241,7 @@ template <class F, class G>
 double choose(bool m, F&& f, G&& g) {
   return m ? f() : g();
 }
+inline double sum(double x) { return x; }
 inline double nearest(double x) { return (x + 0x1.8p52) - 0x1.8p52; }
 inline double lane(const double& x, int) { return x; }
 inline void set_lane(double& x, int, double value) { x = value; }

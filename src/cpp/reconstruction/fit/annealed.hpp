@@ -1,56 +1,71 @@
-// Robust curve fit to drift circles: distance known, side unknown, some outliers.
+// Robust curve fit to drift circles: distance known, side unknown, some outliers. The points of one track lie
+// side by side in the lanes.
 #pragma once
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <optional>
+
+#include "common/lanes/number.hpp"
 
 namespace cgemit {
 
 // The constraint of one point: the curve passes at `drift` from it, and the point lies to its left (side 1),
 // right (-1) or either (0).
+template <class T>
 struct DriftCircle {
-  double drift, side;
-  double per_error;  // 1/mm, one over the smallest expected error
-  double votes;      // its weight when curves are compared
-  double left;       // mm, distance of the point to the left of the present curve
-  double miss() const { return side == 0 ? std::abs(left) - drift : left - side * drift; }
+  T drift, side;
+  T per_error;  // 1/mm, one over the smallest expected error
+  T votes;      // its weight when curves are compared
+
+  // Distance of the curve from the circle, mm; the point is `left` mm to the left of the curve.
+  T miss(const T& left) const { return select(side == 0.0, abs(left) - drift, left - side * drift); }
   // Its votes, in proportion to the part of its distance from the curve beyond `errors` errors.
-  double lost(double errors) const {
-    const double far = miss() * per_error / errors, square = far * far;
-    return votes * square / (1 + square);
+  T lost(const T& left, double errors) const {
+    const T far = miss(left) * per_error / errors, square = far * far;
+    return votes * square / (1.0 + square);
   }
 };
 
 // The offset to the left of the curve at which the curve should pass, and the weight of this offset.
+template <class T>
 struct Attraction {
-  double offset, weight;
+  T offset, weight;
 };
 
 // For an unknown side the two possibilities are averaged at the present scale (in errors). Points far outside
 // have almost no weight (Geman and McClure, Bull. Int. Stat. Inst. 52 (1987) 5).
-inline Attraction attraction_of(const DriftCircle& drift_circle, double scale) {
-  const double per_spread = drift_circle.per_error / scale, per_variance = per_spread * per_spread;
-  const double far = drift_circle.miss() * per_spread, discount = 1 + far * far / 9;
-  if (drift_circle.side != 0)
-    return {drift_circle.side * drift_circle.drift, per_variance / (discount * discount)};
-  const double certain = drift_circle.drift * drift_circle.left * per_variance,
-               square = 1 + certain * certain;
-  const double drift2 = drift_circle.drift * drift_circle.drift * per_variance;
-  return {drift_circle.drift * certain / std::sqrt(square),
-          per_variance * square / ((square + drift2) * discount * discount)};
+template <class T>
+Attraction<T> attraction_of(const DriftCircle<T>& of, const T& left, double scale) {
+  const T per_spread = of.per_error / scale, per_variance = per_spread * per_spread;
+  const T far = of.miss(left) * per_spread, discount = 1.0 + far * far / 9.0;
+  return {choose(
+              of.side != 0.0, [&] { return of.side * of.drift; },
+              [&] {
+                const T certain = of.drift * left * per_variance;
+                return of.drift * certain / sqrt(1.0 + certain * certain);
+              }),
+          choose(
+              of.side != 0.0, [&] { return per_variance / (discount * discount); },
+              [&] {
+                const T certain = of.drift * left * per_variance, square = 1.0 + certain * certain;
+                return per_variance * square /
+                       ((square + of.drift * of.drift * per_variance) * discount * discount);
+              })};
 }
 
-// `Shape` has a Model (the curve), a Point with its DriftCircle, the distance `left` of a point from a model,
-// the number of points that determine a model (`least`), and Sums, which take points with their attractions
-// and solve for the model.
+// `Shape` has a Model (the curve), a Point with its DriftCircle, whose members are all numbers T, the
+// distance `left` of a point from a model, the number of points that determine a model (`least`), and Sums,
+// which take points with their attractions, add up the lanes and solve for the model.
 template <class Shape>
 class Annealed {
  public:
   using Model = typename Shape::Model;
-  using Point = typename Shape::Point;
+  using Point = typename Shape::template Point<double>;
+  using Points = typename Shape::template Point<Number>;
 
   struct Result {
     std::optional<Model> model;
@@ -59,19 +74,22 @@ class Annealed {
 
   // Points beyond the capacity are ignored: they would not improve a first helix.
   void add(const Point& point) {
-    if (n_ < points_.size()) points_[n_++] = point;
+    if (n_ < most) put(n_++, point);
   }
+  // One of several points, that in a lane.
+  void add(const Points& points, int lane) { add(extracted(std::bit_cast<Numbers>(points), lane)); }
 
   // Least squares with weights that become sharper as the curve improves. If many points are still lost,
   // RANSAC is tried as well.
   Result result() {
     if (n_ < Shape::least) return {std::nullopt, 0};
-    typename Shape::Sums sums;
-    for (std::size_t i = 0; i < n_; ++i) {
-      const DriftCircle& drift_circle = points_[i].drift_circle;
-      const double square = drift_circle.per_error * drift_circle.per_error;
-      sums.add(points_[i], nullptr,
-               {0, square / (square * drift_circle.drift * drift_circle.drift + first * first)});
+    fill_up();
+    Sums sums;
+    for (std::size_t i = 0; i < packs_; ++i) {
+      const Points points = at(i);
+      const Number square = points.drift_circle.per_error * points.drift_circle.per_error,
+                   drift = points.drift_circle.drift;
+      sums.add(points, nullptr, {0.0, square / (square * drift * drift + first * first)});
     }
     const Result plain = settled(sums.solve());
     const double plain_lost = lost();
@@ -81,10 +99,35 @@ class Annealed {
   }
 
  private:
+  using Sums = typename Shape::template Sums<Number>;
   static constexpr double first = 20, near = 5;      // errors
   static constexpr double few = 0.05, enough = 0.2;  // of the votes
   static constexpr std::size_t trials = 12;
   static constexpr int passes = 6;
+  static constexpr std::size_t most = 128, width = lanes_of<Number>;
+  static constexpr std::size_t members = sizeof(Point) / sizeof(double);
+  using Numbers = std::array<Number, members>;  // the members of points
+
+  void put(std::size_t i, const Point& point) {
+    const auto values = std::bit_cast<std::array<double, members>>(point);
+    for (std::size_t m = 0; m < members; ++m)
+      set_lane(numbers_[i / width][m], static_cast<int>(i % width), values[m]);
+  }
+  Points at(std::size_t pack) const { return std::bit_cast<Points>(numbers_[pack]); }
+  Point point(std::size_t i) const { return extracted(numbers_[i / width], static_cast<int>(i % width)); }
+  static Point extracted(const Numbers& numbers, int i) {
+    std::array<double, members> values;
+    for (std::size_t m = 0; m < members; ++m) values[m] = lane(numbers[m], i);
+    return std::bit_cast<Point>(values);
+  }
+
+  // Repeats the last point without weight in the free lanes.
+  void fill_up() {
+    packs_ = (n_ + width - 1) / width;
+    Point idle = point(n_ - 1);
+    idle.drift_circle.per_error = idle.drift_circle.votes = 0;
+    for (std::size_t i = n_; i < packs_ * width; ++i) put(i, idle);
+  }
 
   Result settled(std::optional<Model> model) {
     if (!model) return {std::nullopt, 0};
@@ -104,32 +147,35 @@ class Annealed {
   // Measures the distances of the points from the curve. Returns the distance of most points; points far
   // outside the last scale count as if they were at its edge.
   double measure(const Model& model, double scale) {
-    double sum = 0;
-    for (std::size_t i = 0; i < n_; ++i) {
-      DriftCircle& drift_circle = points_[i].drift_circle;
-      drift_circle.left = Shape::left(model, points_[i]);
-      sum += std::min(std::abs(drift_circle.miss()) * drift_circle.per_error, 1.5 * scale);
+    Number far(0.0);
+    for (std::size_t i = 0; i < packs_; ++i) {
+      const Points points = at(i);
+      left_[i] = Shape::left(model, points);
+      const DriftCircle<Number>& of = points.drift_circle;
+      far += smaller(abs(of.miss(left_[i])) * of.per_error, 1.5 * scale);
     }
-    return std::max(1.2 * sum / static_cast<double>(n_), 1.0);
+    return std::max(1.2 * sum(far) / static_cast<double>(n_), 1.0);
   }
 
   // Votes of the points that the last measured curve misses.
   double lost() const {
-    double sum = 0;
-    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].drift_circle.lost(near);
-    return sum;
+    Number votes(0.0);
+    for (std::size_t i = 0; i < packs_; ++i) votes += at(i).drift_circle.lost(left_[i], near);
+    return sum(votes);
   }
 
   double votes() const {
-    double sum = 0;
-    for (std::size_t i = 0; i < n_; ++i) sum += points_[i].drift_circle.votes;
-    return sum;
+    Number votes(0.0);
+    for (std::size_t i = 0; i < packs_; ++i) votes += at(i).drift_circle.votes;
+    return sum(votes);
   }
 
   std::optional<Model> moved(const Model& model, double scale) const {
-    typename Shape::Sums sums;
-    for (std::size_t i = 0; i < n_; ++i)
-      sums.add(points_[i], &model, attraction_of(points_[i].drift_circle, scale));
+    Sums sums;
+    for (std::size_t i = 0; i < packs_; ++i) {
+      const Points points = at(i);
+      sums.add(points, &model, attraction_of(points.drift_circle, left_[i], scale));
+    }
     return sums.solve();
   }
 
@@ -140,10 +186,10 @@ class Annealed {
     double least_lost = HUGE_VAL;
     const std::size_t part = n_ / Shape::least;
     for (std::size_t trial = 0; trial < trials; ++trial) {
-      typename Shape::Sums sums;
+      typename Shape::template Sums<double> sums;
       for (std::size_t j = 0; j < Shape::least; ++j) {
         const std::size_t length = j + 1 < Shape::least ? part : n_ - j * part;
-        sums.add(points_[j * part + (j + 1) * trial % length], nullptr, {0, 1});
+        sums.add(point(j * part + (j + 1) * trial % length), nullptr, {0, 1});
       }
       auto model = sums.solve();
       if (!model) continue;
@@ -159,9 +205,9 @@ class Annealed {
     return best;
   }
 
-  static constexpr std::size_t most = 128;
-  std::array<Point, most> points_;
-  std::size_t n_ = 0;
+  std::array<Numbers, most / width> numbers_;
+  std::array<Number, most / width> left_;  // mm, distance of the points to the left of the present curve
+  std::size_t n_ = 0, packs_ = 0;
 };
 
 }  // namespace cgemit

@@ -1,9 +1,10 @@
 // Circle through points in the transverse plane, from their moments, without iteration.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
 #include <optional>
+
+#include "common/lanes/pack.hpp"
 
 namespace cgemit {
 
@@ -15,37 +16,43 @@ struct Circle {
   double y() const { return -d * ux; }
 
   // Distance near the circle, positive to the left of the flight: (R^2 - distance^2 from the centre)/(2 R).
-  double algebraic(double px, double py) const {
+  template <class T>
+  T algebraic(const T& px, const T& py) const {
     return (1 - w * d) * (py * ux - px * uy) + d * (1 - 0.5 * w * d) - 0.5 * w * (px * px + py * py);
   }
 
+  template <class T>
   struct Vector {
-    double x, y;
+    T x, y;
   };
   // Gradient of `algebraic`.
-  Vector gradient(double px, double py) const {
+  template <class T>
+  Vector<T> gradient(const T& px, const T& py) const {
     const double n = 1 - w * d;
     return {-n * uy - w * px, n * ux - w * py};
   }
   // Unit vector of the gradient near the circle, from one Newton step starting at 1; it points to the left of
   // the flight.
-  Vector leftward(double px, double py) const {
-    const Vector g = gradient(px, py);
-    const double scale = 1.5 - 0.5 * (g.x * g.x + g.y * g.y);
+  template <class T>
+  Vector<T> leftward(const T& px, const T& py) const {
+    const Vector<T> g = gradient(px, py);
+    const T scale = 1.5 - 0.5 * (g.x * g.x + g.y * g.y);
     return {g.x * scale, g.y * scale};
   }
   // Distance to the left of the flight for a point near the circle, mm; the sign is right everywhere.
-  double left(double px, double py) const {
-    const double g = algebraic(px, py);
-    return g / (1 - 0.5 * w * g);
+  template <class T>
+  T left(const T& px, const T& py) const {
+    const T g = algebraic(px, py);
+    return g / (1.0 - 0.5 * w * g);
   }
 };
 
 // Weighted moments of points.
+template <class T>
 class Moments {
  public:
-  void add(double x, double y, double weight) {
-    const double z = x * x + y * y, wx = weight * x, wy = weight * y, wz = weight * z;
+  void add(const T& x, const T& y, const T& weight) {
+    const T z = x * x + y * y, wx = weight * x, wy = weight * y, wz = weight * z;
     n_ += weight;
     x_ += wx;
     y_ += wy;
@@ -56,17 +63,15 @@ class Moments {
     xz_ += wx * z;
     yz_ += wy * z;
     zz_ += wz * z;
-    ++points_;
   }
 
-  // Least squares of k r^2 - (y ux - x uy) - e over k, e and the direction (V. Karimaki, NIM A 305 (1991)
-  // 187). This is the distance to the circle for points whose distance is much smaller than its radius. The
-  // flight goes away from the beam line.
+  // At least three points. Least squares of k r^2 - (y ux - x uy) - e over k, e and the direction (V.
+  // Karimaki, NIM A 305 (1991) 187). This is the distance to the circle for points whose distance is much
+  // smaller than its radius. The flight goes away from the beam line.
   std::optional<Circle> circle() const {
-    if (points_ < 3) return std::nullopt;
-    const double per = 1 / n_, x = x_ * per, y = y_ * per, z = z_ * per;
-    const double xx = xx_ * per - x * x, xy = xy_ * per - x * y, yy = yy_ * per - y * y;
-    const double xz = xz_ * per - x * z, yz = yz_ * per - y * z, zz = zz_ * per - z * z;
+    const double per = 1 / sum(n_), x = sum(x_) * per, y = sum(y_) * per, z = sum(z_) * per;
+    const double xx = sum(xx_) * per - x * x, xy = sum(xy_) * per - x * y, yy = sum(yy_) * per - y * y;
+    const double xz = sum(xz_) * per - x * z, yz = sum(yz_) * per - y * z, zz = sum(zz_) * per - z * z;
     const double sine = 2 * (zz * xy - xz * yz), cosine = zz * (xx - yy) - xz * xz + yz * yz;
     const double size = std::sqrt(sine * sine + cosine * cosine);
     if (!(size > 0) || !(zz > 1e-12 * z * z)) return std::nullopt;
@@ -86,8 +91,7 @@ class Moments {
   }
 
  private:
-  double n_ = 0, x_ = 0, y_ = 0, z_ = 0, xx_ = 0, xy_ = 0, yy_ = 0, xz_ = 0, yz_ = 0, zz_ = 0;
-  int points_ = 0;
+  T n_ = 0.0, x_ = 0.0, y_ = 0.0, z_ = 0.0, xx_ = 0.0, xy_ = 0.0, yy_ = 0.0, xz_ = 0.0, yz_ = 0.0, zz_ = 0.0;
 };
 
 }  // namespace cgemit

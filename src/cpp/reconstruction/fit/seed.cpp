@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/angles.hpp"
+#include "common/lanes/number.hpp"
 #include "detector/strip_plane.hpp"
 #include "kalman/vector.hpp"
 #include "motion/helix.hpp"
@@ -21,17 +22,22 @@ constexpr double wire_error = 0.2, strip_error = 0.2;  // mm, including the effe
 struct CircleShape {
   using Model = Circle;
   static constexpr std::size_t least = 3;
+  template <class T>
   struct Point {
-    double x, y;
-    DriftCircle drift_circle;
+    T x, y;
+    DriftCircle<T> drift_circle;
   };
-  static double left(const Circle& circle, const Point& p) { return circle.left(p.x, p.y); }
+  template <class T>
+  static T left(const Circle& circle, const Point<T>& p) {
+    return circle.left(p.x, p.y);
+  }
+  template <class T>
   struct Sums {
-    Moments moments;
-    void add(const Point& p, const Circle* about, const Attraction& attraction) {
-      Circle::Vector shift{0, 0};
-      if (about != nullptr && attraction.offset != 0) shift = about->leftward(p.x, p.y);
-      moments.add(p.x - attraction.offset * shift.x, p.y - attraction.offset * shift.y, attraction.weight);
+    Moments<T> moments;
+    void add(const Point<T>& p, const Circle* about, const Attraction<T>& attraction) {
+      if (about == nullptr) return moments.add(p.x, p.y, attraction.weight);
+      const auto [x, y] = about->leftward(p.x, p.y);
+      moments.add(p.x - attraction.offset * x, p.y - attraction.offset * y, attraction.weight);
     }
     std::optional<Circle> solve() const { return moments.circle(); }
   };
@@ -46,21 +52,26 @@ struct Line {
 struct LineShape {
   using Model = Line;
   static constexpr std::size_t least = 2;
+  template <class T>
   struct Point {
-    double s, g0, g1, g2;
-    double reach;  // mm, largest possible |z| of the hit
-    DriftCircle drift_circle;
-    double at(double z) const { return g0 + z * (g1 + z * g2); }
+    T s, g0, g1, g2;
+    T reach;  // mm, largest possible |z| of the hit
+    DriftCircle<T> drift_circle;
+    T at(const T& z) const { return g0 + z * (g1 + z * g2); }
   };
-  static double left(const Line& line, const Point& p) { return p.at(line.z0 + line.tanl * p.s); }
-  // Normal equations. A weak constraint to the origin keeps the slope through two close points finite.
+  template <class T>
+  static T left(const Line& line, const Point<T>& p) {
+    return p.at(line.z0 + line.tanl * p.s);
+  }
+  // Normal equations.
+  template <class T>
   struct Sums {
-    double n = 1 / (300.0 * 300.0), s1 = 0, s2 = 1e-9, z1 = 0, sz = 0;
-    void add(const Point& p, const Line* about, const Attraction& attraction) {
-      const double z =
-          about != nullptr ? about->z0 + about->tanl * p.s : std::clamp(-p.g0 / p.g1, -p.reach, p.reach);
-      const double slope = p.g1 + 2 * z * p.g2, value = attraction.offset - p.at(z) + slope * z;
-      const double row = attraction.weight * slope;
+    T n = 0.0, s1 = 0.0, s2 = 0.0, z1 = 0.0, sz = 0.0;
+    void add(const Point<T>& p, const Line* about, const Attraction<T>& attraction) {
+      const T z =
+          about != nullptr ? about->z0 + about->tanl * p.s : smaller(larger(-p.g0 / p.g1, -p.reach), p.reach);
+      const T slope = p.g1 + 2.0 * z * p.g2, value = attraction.offset - p.at(z) + slope * z;
+      const T row = attraction.weight * slope;
       n += row * slope;
       s1 += row * slope * p.s;
       s2 += row * slope * p.s * p.s;
@@ -68,9 +79,11 @@ struct LineShape {
       sz += row * value * p.s;
     }
     std::optional<Line> solve() const {
-      const double determinant = n * s2 - s1 * s1;
+      // A weak constraint to the origin keeps the slope through two close points finite.
+      const double nn = sum(n) + 1 / (300.0 * 300.0), ns = sum(s1), ss = sum(s2) + 1e-9;
+      const double nz = sum(z1), zs = sum(sz), determinant = nn * ss - ns * ns;
       if (!(determinant > 0)) return std::nullopt;
-      return Line{(z1 * s2 - sz * s1) / determinant, (n * sz - s1 * z1) / determinant};
+      return Line{(nz * ss - zs * ns) / determinant, (nn * zs - ns * nz) / determinant};
     }
   };
 };
@@ -86,33 +99,65 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
     const auto index = static_cast<std::size_t>(hit.layer);
     if (hit.view == View::wire && detector.wires[index].twist == 0) {
       const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hit.channel)];
-      fit.add({wire.x, wire.y, {hit.value, static_cast<double>(sides[i]), 1 / wire_error, 1, 0}});
+      fit.add({wire.x, wire.y, {hit.value, static_cast<double>(sides[i]), 1 / wire_error, 1}});
     } else if (hit.view == View::x && from == SeedFrom::wires_and_clusters) {
       const MeasuringLayer& layer = detector.layers[index];
       const double phi = azimuth(layer, hit.channel, hit.value), r = layer.r_mid();
-      fit.add({r * std::cos(phi), r * std::sin(phi), {0, 1, 1 / strip_error, 1, 0}});
+      fit.add({r * std::cos(phi), r * std::sin(phi), {0, 1, 1 / strip_error, 1}});
     }
   }
   return fit.result();
 }
 
-// At height z a stereo wire lies to the left of the circle by a quadratic in z.
-LineShape::Point wire_point(const WireLayer& layer, const Hit& hit, double side, const Circle& circle,
-                            double s, double error) {
-  const Wire& wire = layer.placed[static_cast<std::size_t>(hit.channel)];
-  const double gx = wire.ex / wire.ez, gy = wire.ey / wire.ez;
-  const auto [nx, ny] = circle.gradient(wire.x, wire.y);
-  return {s,
-          circle.algebraic(wire.x, wire.y),
-          nx * gx + ny * gy,
-          -0.5 * circle.w * (gx * gx + gy * gy),
-          layer.half_length,
-          {hit.value, side, 1 / error, std::sqrt(gx * gx + gy * gy) / error, 0}};
-}
+// Stereo wires of one track, one per lane, each with the side on which the track passes it.
+struct StereoWires {
+  std::array<const WireLayer*, lanes_of<Number>> layers;
+  std::array<const Wire*, lanes_of<Number>> wires;
+  Number drift, side;
+  int n = 0;
+
+  void add(const WireLayer& layer, const Hit& hit, double known_side) {
+    // Free lanes hold the last wire.
+    for (int i = n; i < lanes_of<Number>; ++i) {
+      layers[static_cast<std::size_t>(i)] = &layer;
+      wires[static_cast<std::size_t>(i)] = &layer.placed[static_cast<std::size_t>(hit.channel)];
+      set_lane(drift, i, hit.value);
+      set_lane(side, i, known_side);
+    }
+    ++n;
+  }
+
+  // Adds those that the circle reaches. At height z a wire lies to the left of it by a quadratic in z.
+  void add_to(LineFit& line, const Circle& circle, const HelixPoint& start, double error) const {
+    const auto of = [](const auto& members, auto member) {
+      return gathered<Number>([&](int i) { return member(*members[static_cast<std::size_t>(i)]); });
+    };
+    const Number radius = sqrt(of(layers, [](const WireLayer& layer) { return layer.waist; })),
+                 reach = of(layers, [](const WireLayer& layer) { return layer.half_length; });
+    const Number x = of(wires, [](const Wire& wire) { return wire.x; }),
+                 y = of(wires, [](const Wire& wire) { return wire.y; }),
+                 gx = of(wires, [](const Wire& wire) { return wire.ex / wire.ez; }),
+                 gy = of(wires, [](const Wire& wire) { return wire.ey / wire.ez; });
+    HelixPointOf<Number> point{start.x, start.y, 0.0, start.ux, start.uy, 0.0, start.w};
+    Number s;
+    mask_of<Number> reached = radius > std::abs(circle.d);
+    reached = step_to_cylinder(point, radius, s, true, reached);
+    const auto [nx, ny] = circle.gradient(x, y);
+    const Number tilt = gx * gx + gy * gy;
+    const LineShape::Point<Number> points{s,
+                                          circle.algebraic(x, y),
+                                          nx * gx + ny * gy,
+                                          -0.5 * circle.w * tilt,
+                                          reach,
+                                          {drift, side, 1 / error, sqrt(tilt) / error}};
+    for (int i = 0; i < n; ++i)
+      if (lane(reached, i)) line.add(points, i);
+  }
+};
 
 // V strips, crossed at the X of their layer that is closest to the circle, or else at the circle itself.
-LineShape::Point strip_point(const MeasuringLayer& layer, const Hit& hit, std::span<const Hit> before,
-                             const HelixPoint& point, double s, double scale) {
+LineShape::Point<double> strip_point(const MeasuringLayer& layer, const Hit& hit, std::span<const Hit> before,
+                                     const HelixPoint& point, double s, double scale) {
   const double around = 2 * pi * layer.r_readout;
   double on_circle = local_x(layer, hit.channel, std::atan2(point.y, point.x)), x = on_circle;
   double closest = 10;  // mm
@@ -136,28 +181,34 @@ LineShape::Point strip_point(const MeasuringLayer& layer, const Hit& hit, std::s
   }
   const double error = measured ? strip_error : strip_error * scale;
   return {s, -z * layer.sin_stereo, layer.sin_stereo,
-          0, layer.half_length,     {0, 1, 1 / error, std::abs(layer.sin_stereo) / error, 0}};
+          0, layer.half_length,     {0, 1, 1 / error, std::abs(layer.sin_stereo) / error}};
 }
 
 LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
                           std::span<const std::int8_t> sides, SeedFrom from, const Circle& circle,
                           double scale) {
   LineFit line;
-  HelixPoint point{circle.x(), circle.y(), 0, circle.ux, circle.uy, 0, circle.w};
-  double s = 0;
+  StereoWires wires;
+  const HelixPoint start{circle.x(), circle.y(), 0, circle.ux, circle.uy, 0, circle.w};
+  const auto add_wires = [&] {
+    wires.add_to(line, circle, start, wire_error * scale);
+    wires.n = 0;
+  };
   for (std::size_t i = 0; i < hits.size(); ++i) {
     const Hit& hit = hits[i];
     const auto index = static_cast<std::size_t>(hit.layer);
-    const bool stereo = hit.view == View::wire && detector.wires[index].twist != 0;
-    const bool strips = hit.view == View::v && from == SeedFrom::wires_and_clusters;
-    if (!stereo && !strips) continue;
-    const double radius = stereo ? std::sqrt(detector.wires[index].waist) : detector.layers[index].r_mid();
-    double step = 0;
-    if (radius <= std::abs(circle.d) || !step_to_cylinder(point, radius, step)) continue;
-    s += step;
-    line.add(stereo ? wire_point(detector.wires[index], hit, sides[i], circle, s, wire_error * scale)
-                    : strip_point(detector.layers[index], hit, hits.first(i), point, s, scale));
+    if (hit.view == View::wire && detector.wires[index].twist != 0) {
+      wires.add(detector.wires[index], hit, sides[i]);
+      if (wires.n == lanes_of<Number>) add_wires();
+    } else if (hit.view == View::v && from == SeedFrom::wires_and_clusters) {
+      const MeasuringLayer& layer = detector.layers[index];
+      HelixPoint point = start;
+      double s = 0;
+      if (layer.r_mid() <= std::abs(circle.d) || !step_to_cylinder(point, layer.r_mid(), s)) continue;
+      line.add(strip_point(layer, hit, hits.first(i), point, s, scale));
+    }
   }
+  if (wires.n > 0) add_wires();
   return line.result();
 }
 
