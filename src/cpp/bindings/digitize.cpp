@@ -4,6 +4,7 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
+#include "kernels/kernels.hpp"
 #include "simulation/digitize/binary.hpp"
 #include "simulation/digitize/gaussian.hpp"
 #include "simulation/digitize/projection.hpp"
@@ -103,7 +104,7 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
   WireHitColumns hits;
   {
     py::gil_scoped_release release;
-    hits = read_out_wires(detector, truths, {distance, time, reveal_sides, seed});
+    hits = kernels().read_out_wires(detector, truths, {distance, time, reveal_sides, seed});
   }
   py::dict out;
   out["event"] = to_numpy(std::move(hits.event));

@@ -10,6 +10,7 @@
 #include "covariance/covariance.hpp"
 #include "reconstruction/fit/fit.hpp"
 #include "simulation/digitize/analog.hpp"
+#include "simulation/digitize/wires.hpp"
 #include "simulation/transport/simulate.hpp"
 
 namespace cgemit {
@@ -25,6 +26,7 @@ struct Kernels {
   void (*covariances)(const Detector&, const CovarianceInput&, const HitModel&, const CovarianceOutput&);
   void (*read_out_analog)(const Detector&, const TruthColumns&, const StepColumns&, const AnalogModel&,
                           const GainMaps&, DigiColumns&);
+  WireHitColumns (*read_out_wires)(const Detector&, const WireTruthColumns&, const WireReadout&);
 };
 
 // The kernels in use: scalar ones until others are opened.

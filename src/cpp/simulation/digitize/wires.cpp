@@ -6,7 +6,8 @@
 #include <string>
 #include <tuple>
 
-#include "common/rng.hpp"
+#include "common/lanes/number.hpp"
+#include "common/lanes/philox.hpp"
 
 namespace cgemit {
 namespace {
@@ -51,33 +52,65 @@ void check(const WireTruthColumns& truths, const Detector& detector, const std::
   }
 }
 
-// Linear interpolation between the points of the table, and extrapolation beyond the outermost ones.
-double drift_time(const WireReadout& readout, double drift) {
-  const auto& x = readout.xt_distance;
-  // Counting the points up to there has no branches: a search among ten points takes twice as long.
-  std::size_t above = 1;
-  for (std::size_t k = 1; k + 1 < x.size(); ++k) above += x[k] <= drift;
-  const double share = (drift - x[above - 1]) / (x[above] - x[above - 1]);
-  return readout.xt_time[above - 1] + share * (readout.xt_time[above] - readout.xt_time[above - 1]);
-}
+// Time against drift distance: linear between the points of the table, and beyond the outermost ones.
+class DriftTimes {
+ public:
+  explicit DriftTimes(const WireReadout& readout) {
+    const auto& x = readout.xt_distance;
+    const auto& t = readout.xt_time;
+    for (std::size_t k = 0; k + 1 < x.size(); ++k)
+      parts_.push_back({x[k], t[k], (t[k + 1] - t[k]) / (x[k + 1] - x[k])});
+  }
 
-void fire(const WireLayer& layer, const WireTruthColumns& truths, std::size_t row, const WireReadout& readout,
-          std::vector<FiredCell>& out) {
-  const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
-                      static_cast<std::uint32_t>(truths.particle[row]));
-  const auto place =
-      static_cast<std::uint32_t>(layer.number) << 16 | static_cast<std::uint32_t>(truths.wire[row]);
-  const Block words = stream.block(Purpose::drift_distance, place);
-  if (open_unit(words[1]) > layer.efficiency) return;
-  const auto sigma = [&](double distance) {
-    return layer.sigma + layer.sigma_slope * std::max(0.0, distance);
+  Number operator()(const Number& drift) const {
+    // Looking at all parts has no branches.
+    Number from = parts_[0].from, time = parts_[0].time, slope = parts_[0].slope;
+    for (const Part& part : parts_) {
+      const mask_of<Number> beyond = drift >= part.from;
+      from = select(beyond, Number(part.from), from);
+      time = select(beyond, Number(part.time), time);
+      slope = select(beyond, Number(part.slope), slope);
+    }
+    return time + slope * (drift - from);
+  }
+
+ private:
+  struct Part {
+    double from, time, slope;
   };
-  const double distance = std::abs(truths.doca[row]);
-  const double drift = distance + sigma(distance) * normal_quantile(open_unit(words[0]));
-  const double time = drift_time(readout, drift);
+  std::vector<Part> parts_;
+};
+
+// Adds the cells of some rows that fire, at most as many as there are lanes.
+void fire(const Detector& detector, const std::vector<int>& index, const WireTruthColumns& truths,
+          std::size_t first, std::size_t n, const WireReadout& readout, const DriftTimes& times,
+          std::vector<FiredCell>& out) {
+  BlockSeries<Number> draws;
+  Number distance, least, slope, efficiency;
+  for (int i = 0; i < lanes_of<Number>; ++i) {
+    const std::size_t row = first + std::min(static_cast<std::size_t>(i), n - 1);
+    const WireLayer& layer = detector.wires[index[truths.layer[row]]];
+    const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
+                        static_cast<std::uint32_t>(truths.particle[row]));
+    draws.set(i, stream, Purpose::drift_distance,
+              static_cast<std::uint32_t>(layer.number) << 16 | static_cast<std::uint32_t>(truths.wire[row]));
+    set_lane(distance, i, std::abs(truths.doca[row]));
+    set_lane(least, i, layer.sigma);
+    set_lane(slope, i, layer.sigma_slope);
+    set_lane(efficiency, i, layer.efficiency);
+  }
+  const auto sigma_at = [&](const Number& where) { return least + slope * larger(where, 0.0); };
+  const BlockOf<Number> words = draws.next();
+  const Number drift = distance + sigma_at(distance) * normal_quantile(open_unit(words[0]));
   // The error is evaluated at the measured drift distance, the only one that the hit has.
-  out.push_back(
-      {layer.gid_first + truths.wire[row], drift, sigma(drift), time, time + truths.delay[row], row});
+  const Number sigma = sigma_at(drift), time = times(drift);
+  each_lane(open_unit(words[1]) <= efficiency, [&](int i) {
+    const std::size_t row = first + static_cast<std::size_t>(i);
+    if (row >= first + n) return;
+    const std::int32_t gid = detector.wires[index[truths.layer[row]]].gid_first + truths.wire[row];
+    out.push_back(
+        {gid, lane(drift, i), lane(sigma, i), lane(time, i), lane(time, i) + truths.delay[row], row});
+  });
 }
 
 void write(const WireTruthColumns& truths, bool reveal_sides, const FiredCell& hit, WireHitColumns& hits) {
@@ -107,12 +140,14 @@ WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& 
   check(truths, detector, index);
   WireHitColumns hits;
   reserve(hits, truths.size());
+  constexpr std::size_t lanes = lanes_of<Number>;
+  const DriftTimes times(readout);
   std::vector<FiredCell> fired;
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     fired.clear();
-    for (end = begin; end < truths.size() && truths.event[end] == truths.event[begin]; ++end) {
-      fire(detector.wires[index[truths.layer[end]]], truths, end, readout, fired);
-    }
+    for (end = begin; end < truths.size() && truths.event[end] == truths.event[begin];) ++end;
+    for (std::size_t row = begin; row < end; row += lanes)
+      fire(detector, index, truths, row, std::min(lanes, end - row), readout, times, fired);
     std::sort(fired.begin(), fired.end());
     for (std::size_t i = 0; i < fired.size(); ++i) {
       if (i == 0 || fired[i].gid != fired[i - 1].gid) write(truths, readout.reveal_sides, fired[i], hits);
