@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.figure import Figure
 
 import cgemit as cg
 from cgemit.analysis.resolutions import pulls as track_pulls
 from cgemit.analysis.widths import measure
+from cgemit.detector.gas import drift_columns
+from cgemit.detector.induction import cloud_widths
 from cgemit.detector.readouts import AnalogReadout, Readout
-from cgemit.reconstruction.cluster_errors import chip_errors
+from cgemit.particles.table import particles_from
+from cgemit.reconstruction.cluster_errors import COS_THETA as COS_THETAS
+from cgemit.reconstruction.cluster_errors import chip_errors, expected_errors
 from cgemit.reconstruction.find import truth
 from cgemit.study.readout import errors, scan
 from pages.page import Found, Numbers, Page, share_of, table
@@ -20,16 +25,18 @@ from pages.page import Found, Numbers, Page, share_of, table
 DETECTOR, P, COS_THETA, SEED = "besiii-cgem-design", 1.0, (-0.93, 0.93), 77
 TRACKS, BEAM, GHOSTS = 12_000, 4000, 1000
 DESIGNS, IN_EACH = 16, 3000  # muons
+EFFECTS = 4000  # tracks
 READOUTS: dict[str, Readout] = {
     "`binary`": cg.BinaryReadout(), "`tiger`": cg.TigerReadout(),
     "`tiger`, second pass": cg.TigerReadout(second_pass=True),
     "`apv25`": cg.Apv25Readout(), "`apv25`, second pass": cg.Apv25Readout(second_pass=True),
     "`analog-projection`": cg.ProjectionReadout(),
 }  # fmt: skip
-#: Test beam as shipped with PARSIFAL: angle -> strips, centroid, micro-TPC, merged (um).
+#: Test beam as shipped with PARSIFAL: angle -> strips, charge (fC), centroid, micro-TPC, merged (um).
 PUBLISHED = {
-    0: (4.67, 50, 350, 50), 5: (4.75, 114, 330, 110), 10: (5.20, 173, 155, 125), 15: (5.85, 228, 130, 125),
-    20: (6.54, 280, 110, 105), 30: (7.90, 380, 110, 105), 40: (9.00, 460, 120, 115),
+    0: (4.67, 128, 50, 350, 50), 5: (4.75, 114, 114, 330, 110), 10: (5.20, 143, 173, 155, 125),
+    15: (5.85, 158, 228, 130, 125), 20: (6.54, 170, 280, 110, 105), 30: (7.90, 178, 380, 110, 105),
+    40: (9.00, 190, 460, 120, 115),
 }  # fmt: skip
 BEAM_CHIP = cg.Apv25Readout(gain=39_000.0)  # nothing but the gain is adjusted
 PITCHES = (300, 400, 500, 650, 800, 1000, 1200)  # um
@@ -190,6 +197,97 @@ def measure_ghosts(share: float) -> Numbers:
     return Numbers(rows, {"events": f"{n} events each"})
 
 
+@dataclass(frozen=True)
+class Effect:
+    """Pulls of clusters or tracks of a sample: core widths and means in the first and in the second pass."""
+
+    sample: str
+    readout: str
+    quantity: str
+    n: int
+    first: float
+    first_error: float
+    first_mean: float
+    second: float
+    second_error: float
+    second_mean: float
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Tracks that the errors are not made for, and the pulls that show it."""
+
+    name: str
+    source: cg.Gun | cg.Table
+    quantities: tuple[str, ...] = ("x", "v")
+    pitch: int = 650  # um
+    readout: type[AnalogReadout] = cg.TigerReadout
+
+
+def beside(distance: float, n: int) -> cg.Table:
+    """Return mu- that pass the beam line on either side at a distance, mm."""
+    random = np.random.default_rng(SEED)
+    phi, cos_theta = random.uniform(-np.pi, np.pi, n), random.uniform(*COS_THETA, n)
+    away, pt = distance * random.choice([-1, 1], n), P * np.sqrt(1 - cos_theta**2)
+    columns = {
+        "event": np.arange(n), "pdg": np.full(n, 13), "x": -away * np.sin(phi), "y": away * np.cos(phi),
+        "z": np.zeros(n), "px": pt * np.cos(phi), "py": pt * np.sin(phi), "pz": P * cos_theta,
+    }  # fmt: skip
+    return particles_from(columns)
+
+
+def samples(n: int) -> tuple[Sample, ...]:
+    """Return the samples of the table of effects."""
+    return (
+        Sample("protons of 0.6 GeV/c", cg.Gun("proton", p=0.6, cos_theta=COS_THETA)),
+        Sample("protons of 0.4 GeV/c", cg.Gun("proton", p=0.4, cos_theta=COS_THETA)),
+        Sample("μ⁻, 0.85 < cos θ < 0.93", cg.Gun("mu-", p=P, cos_theta=(0.85, 0.93))),
+        Sample("μ⁻ of 0.2 GeV/c", cg.Gun("mu-", p=0.2, cos_theta=COS_THETA), ("x",)),
+        Sample("μ⁺ of 0.2 GeV/c", cg.Gun("mu+", p=0.2, cos_theta=COS_THETA), ("x",)),
+        *(
+            Sample(
+                f"μ⁻ from z = {z} mm, −0.5 < cos θ < 0.5",
+                cg.Gun("mu-", p=P, cos_theta=(-0.5, 0.5), vertex=(0, 0, z)),
+                ("v",),
+            )
+            for z in (100, 200)
+        ),
+        Sample("μ⁻ from 40 mm beside the beam line", beside(40.0, n), ("dr",)),
+        Sample(
+            "μ⁻, `apv25`, pitch of 0.3 mm",
+            cg.Gun("mu-", p=P, cos_theta=COS_THETA),
+            ("dr", "dz"),
+            pitch=300,
+            readout=cg.Apv25Readout,
+        ),
+    )
+
+
+def measure_effects(share: float) -> Numbers:
+    """Measure the pulls of tracks that the errors are not made for."""
+    n, rows = share_of(EFFECTS, share, 300), []
+    for sample in samples(n):
+        found = []
+        for second in (False, True):
+            result = cg.run(of_pitch(sample.pitch), sample.source, n, SEED, readout=sample.readout(second_pass=second))
+            found.append([_pull_of(result, name) for name in sample.quantities])
+        for name, first, again in zip(sample.quantities, *found, strict=True):
+            of = [value for one in (first, again) for value in (one.core, one.core_error, one.core_mean)]
+            rows.append(Effect(sample.name, sample.readout.name, name, first.n, *of))
+    return Numbers(rows, {"events": f"{n:,} tracks a row, seed {SEED}"})
+
+
+def _pull_of(result: cg.Result, name: str) -> cg.Resolution:
+    """Return the pull of the clusters of a view, or of a parameter of the tracks."""
+    if name not in "xv":
+        return track_pulls(result)[name]
+    clusters = result.clusters if result.refined_clusters is None else result.refined_clusters
+    own = truth.own_clusters(result.detector, result.clusters, result.truths)
+    own = own[clusters["view"][own] == "xv".index(name)]
+    residual = truth.residuals(result.detector, clusters, result.truths, own)
+    return measure(residual / clusters[f"err_{name}"][own], parameter=name, unit="")
+
+
 def of_pitch(pitch: int) -> cg.Detector:
     """Return the detector with strips of a pitch, um, in both views."""
     return cg.load(DETECTOR).with_overrides({f"cgem.*.pitch_{view}": f"{pitch} um" for view in "xv"})
@@ -218,10 +316,14 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         "sample": found["tracks"].about["events"],
         "pions": found["beam"].about["events"],
-        "charges": _charges(found),
+        **_gaps(),
+        "correlations": _correlations(),
         "factors": _factors(),
         "tracks": _tracks(found),
         "pulls": _pulls(found),
+        "designs": _designs(found),
+        "effects-sample": found["effects"].about["events"],
+        "effects": _effects(found),
         "beam": _beam(found),
         "ghosts": _ghosts(found),
         "pitch": _pitches(found),
@@ -268,19 +370,57 @@ def _pulls(found: Found) -> str:
 
 
 def _beam(found: Found) -> str:
-    head = ["angle", "strips", "centroid [µm]", "micro-TPC [µm]", "merged [µm]", "track's angle [µm]"]
+    head = ["angle", "strips", "charge [fC]", "centroid [µm]", "micro-TPC [µm]", "merged [µm]", "track's angle [µm]"]
     lines = []
     for row in found["beam"].rows:
         strips, *published = PUBLISHED[row.angle]
-        pairs = zip(published, (row.centroid, row.line, row.merged), strict=True)
+        pairs = zip(published, (row.charge, row.centroid, row.line, row.merged), strict=True)
         there = [f"{one}, {own:.0f}" for one, own in pairs]
         lines.append([row.angle, f"{strips:.2f}, {row.strips:.2f}", *there, f"{row.track:.0f}"])
     return table(head, lines)
 
 
-def _charges(found: Found) -> str:
-    charge = {row.angle: row.charge for row in found["beam"].rows}
-    return f"{charge[0]:.0f} and {charge[20]:.0f}"
+def _effects(found: Found) -> str:
+    """Return widths and means of pulls; those of X and V, or of two parameters, stand in one row."""
+    symbols = {"x": "X", "v": "V", "dr": "d_ρ", "dz": "d_z"}
+    lines = []
+    for name in dict.fromkeys(row.sample for row in found["effects"].rows):
+        rows = [row for row in found["effects"].rows if row.sample == name]
+        cells = [
+            ", ".join(f"{round(getattr(row, column), 2) + 0.0:{form}}".replace("-", "−") for row in rows)
+            for column, form in (("first", ".2f"), ("first_mean", "+.2f"), ("second", ".2f"), ("second_mean", "+.2f"))
+        ]
+        lines.append([name, ", ".join(symbols[row.quantity] for row in rows), *cells])
+    return table(["tracks", "pulls of", "first pass: width", "mean", "second pass: width", "mean"], lines)
+
+
+def _designs(found: Found) -> str:
+    return _span([row.core for row in found["pulls"].rows if row.quantity == "design"])
+
+
+def _gaps() -> dict[str, str]:
+    """Return what the gaps behind the first foil do to a cloud in the reference detector."""
+    detector = cg.load(DETECTOR)
+    drift, width = drift_columns(detector), cloud_widths(detector, 1.0)[0]
+    cloud = f"the cloud is {drift['cloud_z'][0]:.2f} mm wide along z and {_span(width)} mm along φ"
+    return {
+        "transfer": f"the transfer gaps delay by {drift['delay'][0]:.0f} ns, and {cloud}",
+        "induction": f"{drift['induction'][0]:.0f} ns",
+    }
+
+
+def _correlations() -> str:
+    straight = int(np.argmin(np.abs(COS_THETAS)))
+    tiger, apv25 = (
+        _span(expected_errors(cg.load(DETECTOR), readout, "merged", True).correlation[:, straight])
+        for readout in (cg.TigerReadout(), cg.Apv25Readout())
+    )
+    return f"{tiger} (`apv25` {apv25})"
+
+
+def _span(values: Iterable[float]) -> str:
+    low, *_, high = sorted(values)
+    return f"{low:.2f} to {high:.2f}"
 
 
 def _ghosts(found: Found) -> str:
@@ -329,10 +469,10 @@ def draw(found: Found) -> Figure:
 
 
 PAGE = Page(
-    "readout", "docs/methods/readout.md", "5 min",
+    "readout", "docs/methods/readout.md", "6 min",
     {
         "tracks": (Tracks, measure_tracks), "pulls": (Pull, measure_pulls), "beam": (Beam, measure_beam),
-        "ghosts": (Ghosts, measure_ghosts), "pitch": (Pitch, measure_pitches),
+        "ghosts": (Ghosts, measure_ghosts), "pitch": (Pitch, measure_pitches), "effects": (Effect, measure_effects),
     },
     blocks, {"readout-pitch.png": draw},
 )  # fmt: skip

@@ -428,7 +428,7 @@ def pulls(
 ) -> list[PullBin]:  # fmt: skip
     """Return the pulls of clusters in the odd ones of `design`, which no fit of factors has seen.
 
-    Charge is counted by its order among the clusters of a design.
+    Charge is counted by its order among the clusters of a design; "design" is the number of the design.
 
     Parameters
     ----------
@@ -461,11 +461,14 @@ def pulls(
             found = measurements(at.detector, clusters, result.truths, lorentz=clusterer.lorentz)
             rank = np.argsort(np.argsort(found.charge)) / len(found.charge)
             pull = found.residual / found.error
-            parts.append((pull, np.sign(found.slope), np.abs(found.slope), found.size * 1.0, rank, found.view * 1.0))
+            of_design = np.full(len(pull), float(number))
+            parts.append(
+                (pull, np.sign(found.slope), np.abs(found.slope), found.size * 1.0, rank, found.view * 1.0, of_design)
+            )
     pull, sign, *values = (np.concatenate(column) for column in zip(*parts, strict=True))
-    by = dict(zip(("slope", "strips", "charge", "view"), values, strict=True))
+    by = dict(zip(("slope", "strips", "charge", "view", "design"), values, strict=True))
     bins = [("all", -np.inf, np.inf, np.ones(len(pull), bool))]
-    for name, edges in _BINS.items():
+    for name, edges in (_BINS | {"design": tuple(range(designs + 1))}).items():
         bins += [(name, low, high, (by[name] >= low) & (by[name] < high)) for low, high in pairwise(edges)]
     return [
         PullBin(
