@@ -19,6 +19,7 @@ from pages import (
     covariance,
     data_model,
     deltas,
+    digitize,
     finding,
     fit,
     foils,
@@ -33,6 +34,7 @@ from pages import (
     readout,
     robustness,
     settings,
+    track_fit,
     vertex,
 )
 from pages.page import DATA, IMAGES, ROOT, Page, markers
@@ -43,6 +45,7 @@ PAGES: dict[str, Page] = {
         geant4.PAGE,
         deltas.PAGE,
         fit.PAGE,
+        track_fit.PAGE,
         covariance.PAGE,
         paper.PAGE,
         linear_table.PAGE,
@@ -54,6 +57,7 @@ PAGES: dict[str, Page] = {
         alignment.PAGE,
         background.PAGE,
         vertex.PAGE,
+        digitize.PAGE,
         cluster.PAGE,
         readout.PAGE,
         settings.PAGE,
