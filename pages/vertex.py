@@ -47,6 +47,14 @@ class Late:
 
 
 @dataclass(frozen=True)
+class Mass:
+    """Core width of the pull of the mass of Lambda whose tracks are fitted as muons."""
+
+    pull: float
+    pull_error: float
+
+
+@dataclass(frozen=True)
 class Half:
     """Core widths of halves of cosmic muons; quantities and units as of `cgemit.study.cosmics`."""
 
@@ -92,6 +100,15 @@ def late(share: float) -> Numbers:
         pull = _inside(found, *LATE)["pull_mass"]
         rows.append(Late(name, cg.study.measure(pull, parameter="mass").core, float(np.median(pull)), len(pull)))
     return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})
+
+
+def wrong(share: float) -> Numbers:
+    """Fit Lambda from tracks with the mass of a muon."""
+    events, settings = share_of(EVENTS, share, 200), cg.Settings(fit=cg.FitSettings(hypothesis="mu"))
+    result = cg.run(DETECTOR, cg.sample("lambda-ppi"), events, SEED, settings=settings)
+    pulls = _inside(_vertices(result, SAMPLES["lambda-ppi"][1]), 0.0, BEAM_PIPE)["pull_mass"]
+    found = cg.study.measure(pulls, parameter="mass")
+    return Numbers([Mass(*_core(found))], {"events": f"{events:,} events, seed {SEED}"})
 
 
 def halves(share: float) -> Numbers:
@@ -147,13 +164,16 @@ def blocks(found: Found) -> dict[str, str]:
         for row in found["halves"].rows
     ]  # fmt: skip
     return {
+        "events": found["widths"].about["events"],
         "vertices": table(head, lines),
         "late": late_text,
+        "muons": found["halves"].about["events"],
+        "wrong": f"{found['wrong'].rows[0].pull:.1f}",
         "cosmics": table(["", "difference/√2", "true residual", "one track", "pull of the difference"], cosmics),
     }
 
 
 PAGE = Page(
     "vertex", "docs/methods/vertex.md", "20 s",
-    {"widths": (Width, widths), "late": (Late, late), "halves": (Half, halves)}, blocks,
+    {"widths": (Width, widths), "late": (Late, late), "wrong": (Mass, wrong), "halves": (Half, halves)}, blocks,
 )  # fmt: skip
