@@ -45,13 +45,15 @@ TRACKS, START_TRACKS = 4000, 6000
 WIDTHS = (("dr", "σ(d_ρ) µm"), ("dz", "σ(d_z) mm"), ("p", "σ(p) MeV/c"))
 CHAMBERS = ("besiii-cgem", "besiii-idc")
 SPREAD = 5.0  # ns
+FITTED_START_TIME: dict[str, dict[str, object]] = {
+    "background": {"start_time": SPREAD}, "refine": {"start_time": "fitted"},
+}  # fmt: skip
+TRACKS_OF_AN_EVENT, HALF_TURNS = (1, 4), (1, 15)
 #: Row of the table of drift times -> settings; `uncorrected` fits the hits as measured.
 TIMES: dict[str, dict[str, dict[str, object]]] = {
     "exact": {},
     "start time with a spread of 5 ns": {"background": {"start_time": SPREAD}},
-    "the same, `refine.start_time=fitted`": {
-        "background": {"start_time": SPREAD}, "refine": {"start_time": "fitted"},
-    },
+    "the same, `refine.start_time=fitted`": FITTED_START_TIME,
     "`digitize.wire_times=raw`": {"digitize": {"wire_times": "raw"}},
     "the same, uncorrected": {"digitize": {"wire_times": "raw"}},
 }  # fmt: skip
@@ -75,6 +77,23 @@ class Times:
     times: str
     detector: str
     core: float
+    error: float
+
+
+@dataclass(frozen=True)
+class StartTime:
+    """Median error (ns) of the start time of events with this number of muons."""
+
+    tracks: int
+    error: float
+
+
+@dataclass(frozen=True)
+class Electrons:
+    """Mean number of cells that the sample `electrons` fires in an event."""
+
+    half_turns: int
+    cells: float
     error: float
 
 
@@ -178,6 +197,28 @@ def times(share: float) -> Numbers:
     return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})
 
 
+def start_times(share: float) -> Numbers:
+    """Fit the start time of events with one track and with several."""
+    events, settings = share_of(START_TRACKS, share, 200), cg.Settings.from_dict(FITTED_START_TIME)
+    rows = []
+    for tracks in TRACKS_OF_AN_EVENT:
+        muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93), multiplicity=tracks)
+        errors = cg.run(CHAMBERS[0], muons, events, SEED, settings=settings).tables["start_times"]["err_start_time"]
+        rows.append(StartTime(tracks, float(np.nanmedian(errors))))
+    return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})
+
+
+def electrons(share: float) -> Numbers:
+    """Count the cells that electrons fire on one half turn and on many."""
+    events, rows = share_of(EVENTS, share, 200), []
+    for half_turns in HALF_TURNS:
+        settings = cg.Settings(simulate=cg.SimulateSettings(half_turns=half_turns))
+        result = cg.run(CHAMBERS[0], cg.sample("electrons"), events, SEED, settings=settings, until="digitize")
+        cells = np.bincount(result.wire_hits["event"], minlength=events)
+        rows.append(Electrons(half_turns, float(cells.mean()), float(cells.std(ddof=1) / events**0.5)))
+    return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})
+
+
 def values(found: Found) -> dict[str, np.ndarray]:
     """Return the numbers on file as arrays, by quantity."""
     rows = found["generated"].rows
@@ -198,7 +239,11 @@ def blocks(found: Found) -> dict[str, str]:
           for layer, value in SHARES.items() if layer in (0, 8, 20, 42)),
         ("clusters in X an event, L1 / L2 / L3 (extrapolated)", _joined(CLUSTERS, 1), _joined(got["clusters"], 1)),
     ]  # fmt: skip
+    errors = {f"start-{row.tracks}": f"{row.error:.1f}" for row in found["start_times"].rows}
+    cells = {f"cells-{row.half_turns}": f"{row.cells:.0f}" for row in found["electrons"].rows}
     return {
+        **errors,
+        **cells,
         "generated": table(["", "measured", "generated"], rows),
         "effects": _effects(found["effects"].rows),
         "times": _times(found["times"].rows),
@@ -249,6 +294,10 @@ def draw(found: Found) -> Figure:
 
 PAGE = Page(
     "background", "docs/methods/background.md", "1 min",
-    {"generated": (Generated, measure), "effects": (Effect, effects), "times": (Times, times)}, blocks,
+    {
+        "generated": (Generated, measure), "effects": (Effect, effects), "times": (Times, times),
+        "start_times": (StartTime, start_times), "electrons": (Electrons, electrons),
+    },
+    blocks,
     {"background.png": draw},
 )  # fmt: skip
