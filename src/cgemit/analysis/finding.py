@@ -27,7 +27,7 @@ Column = npt.NDArray[Any]
 
 
 class CandidateCounts(NamedTuple):
-    """Numbers of hits of each candidate; an XV point counts as two.
+    """Numbers of hits of each candidate; an XV cluster counts as two.
 
     Attributes
     ----------

@@ -38,8 +38,9 @@ class Resolution(Comparable, Tabular):
     removed : tuple of (str, int)
         Why rows were not used, and how many each.
     core, core_error, core_mean, core_mean_error : float
-        Gaussian within 3 of its sigmas. The errors hold from some 300 rows on; with tails, of 60 rows the core scatters
-        1.3 times as much as its error says, of 30 rows 1.5 times.
+        Gaussian within 3 of its sigmas. For Gaussian rows the errors are good to 10 % from 100 rows on. If a tenth of
+        the rows is three times as wide, this needs 200 rows; the core of 60 rows scatters 1.3 times its error, of 30
+        rows 1.5 times.
     q68, q68_error : float
         Half the central interval that holds 68.27 % of the rows.
     rms, rms_error, mean, mean_error : float

@@ -34,7 +34,7 @@ def match(
     """Find the particle of each track, and compare the track with it.
 
     A track belongs to the particle that most hits of its candidate come from. If several particles have as many hits,
-    it belongs to the first one in the table of particles. An XV point counts as two hits, its X and its V cluster.
+    it belongs to the first one in the table of particles. An XV cluster counts as two hits, its X and its V cluster.
     Noise belongs to no particle. Hits of the charged daughters of a decay count as hits of the particle here, but
     neither in purity nor in efficiency. The efficiency counts the first half turn alone.
 

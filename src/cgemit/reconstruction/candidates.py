@@ -28,7 +28,7 @@ XV_CLUSTER = 2
 class FitHits:
     """The measurements of all candidates as flat columns, the input of the compiled fit.
 
-    An XV point is two measurements: X, and V - k X, which is uncorrelated with it, k being the covariance of X and V
+    An XV cluster is two measurements: X, and V - k X, which is uncorrelated with it, k being the covariance of X and V
     over the variance of X.
 
     Attributes
@@ -46,13 +46,13 @@ class FitHits:
         Local X or V on the sheet, or drift distance.
     sigma : ndarray, (hits,) float64, mm
     size : ndarray, (hits,) int32
-        Strips of the cluster; 0 for wires, XV points and clusters with a fixed error (`method` 1).
+        Strips of the cluster; 0 for wires, XV clusters and clusters with a fixed error (`method` 1).
     side : ndarray, (hits,) int8
         Side of the wire; 0 where unknown and for clusters.
     row : ndarray, (hits,) int64
         Row of the clusters or wire_hits table.
     k, x : ndarray, (hits,) float64
-        For the V of an XV point: k, and the measured X in mm; otherwise 0.
+        For the V of an XV cluster: k, and the measured X in mm; otherwise 0.
     """
 
     hit_offsets: npt.NDArray[np.int64]
@@ -117,7 +117,7 @@ _READ = {
 
 
 def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
-    """Return which XV points repeat X or V clusters of the same candidate."""
+    """Return which XV clusters repeat X or V clusters of the same candidate."""
     view, row, candidate = (candidate_hits[name] for name in ("view", "row", "candidate"))
     points = np.flatnonzero((view == HIT_XV) & (row >= 0) & (row < len(clusters)))
     if not len(points):

@@ -631,7 +631,7 @@ def tracks_of(result: cg.Result, clusters: Table) -> Table:
 
 
 def test_two_clusters_are_a_point_with_their_correlation(muons: cg.Result) -> None:
-    """Taken as X and V with a correlation, or as an XV point with a covariance, they are the same measurements."""
+    """Taken as X and V with a correlation, or as an XV cluster with a covariance, they are the same measurements."""
     clusters = correlated(muons)
     hits = muons.candidate_hits
     collected = collect_hits(DESIGN, muons.candidates, hits, clusters, muons.wire_hits)
