@@ -12,7 +12,8 @@ from pages.page import Found, Numbers, Page, share_of, table
 
 PARTS = ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")
 SHOWN = ("cgem.L1", "cgem.L3", "drift_chamber")  # on the page; the numbers on file have all
-NAMES = {"shift_x": "100 um", "shift_z": "100 um", "tilt_x": "1 mrad", "rotation": "1 mrad"}  # ten units of the table
+UNITS = 10  # of the table, in each displacement
+NAMES = {"shift_x": "100 um", "shift_z": "100 um", "tilt_x": "1 mrad", "rotation": "1 mrad"}
 #: Quantity -> heading, factors from mm, GeV/c and from the units of `resolution` to those of the heading.
 QUANTITIES = {"dr": ("d_rho [µm]", 1000, 1), "dz": ("d_z [µm]", 1000, 1000), "p": ("p [MeV/c]", 1000, 1)}
 EVENTS = 4000
@@ -48,7 +49,7 @@ def changes(events: int) -> Iterator[Change]:
             moved = fitted(nominal.with_overrides({f"{part}.{key}": size}), nominal, events)
             good = (plain["status"] == 0) & (moved["status"] == 0)
             for quantity, (_, scale, of_width) in QUANTITIES.items():
-                change = scale * (moved[f"res_{quantity}"] - plain[f"res_{quantity}"])[good] / 10
+                change = scale * (moved[f"res_{quantity}"] - plain[f"res_{quantity}"])[good] / UNITS
                 width = cg.resolution(plain, quantity).core * of_width
                 lost = 100 * (np.hypot(1, np.std(change) / width) - 1)
                 yield Change(part, key, quantity, float(np.mean(change)), float(np.std(change)), float(lost))
@@ -61,7 +62,7 @@ def measure(share: float) -> Numbers:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return the table and the number of tracks."""
+    """Return the table, the number of tracks, and the numbers of the example."""
     head = ["part, key", "unit", *(text for text, _, _ in QUANTITIES.values()), "lost, at most"]
     rows = {(row.part, row.key, row.quantity): row for row in found["changes"].rows}
     lines = []
@@ -70,7 +71,15 @@ def blocks(found: Found) -> dict[str, str]:
         texts = [f"{row.mean:+.2f}, {row.rms:.2f}" for row in cells]
         lost = _per_cent(max(row.lost for row in cells))
         lines.append([f"`{part}.{key}`", "10 µm" if "shift" in key else "0.1 mrad", *texts, lost])
-    return {"changes": table(head, lines), "events": found["changes"].about["events"]}
+    across, along = rows["cgem.L1", "shift_x", "dr"], rows["cgem.L1", "shift_z", "dz"]
+    variance = (1 + across.lost / 100) ** 2 - 1  # added by one unit, of the width's square
+    return {
+        "changes": table(head, lines),
+        "events": found["changes"].about["events"],
+        "shift-x": f"{UNITS * across.rms:.0f}",
+        "wider-x": f"{100 * (np.sqrt(1 + UNITS**2 * variance) - 1):.0f}",
+        "shift-z": f"{UNITS * along.mean:.0f}",
+    }
 
 
 def _per_cent(lost: float) -> str:
