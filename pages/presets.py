@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cgemit as cg
+from cgemit.detector.gas import layer_drift
 from cgemit.draw.detector import draw_rz
 from cgemit.draw.style import mathematical
 from pages.page import Found, Numbers, Page, table
@@ -88,7 +89,7 @@ def _epic_rows() -> Iterator[Published]:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return the tables."""
+    """Return the tables, and the drift in X."""
     head = ["preset", "σ(d_ρ), σ(d_z) at 1 GeV/c [µm]", "at 10 GeV/c [µm]", "σ(p)/p at 1, 10 GeV/c [%]"]
     lines = []
     for name in PRESETS:
@@ -101,7 +102,17 @@ def blocks(found: Found) -> dict[str, str]:
         for quantity, (name, _) in QUANTITIES.items():
             rows = [row for row in found["epic"].rows if (row.low, row.quantity) == (low, quantity)]
             ratios.append([f"{name}, {low:g} < η < {high:g}", *(f"{row.expected / row.published:.2f}" for row in rows)])
-    return {"expected": table(head, lines), "published": table(of_epic, ratios)}
+    return {"expected": table(head, lines), "published": table(of_epic, ratios), "lorentz": _lorentz_shifts()}
+
+
+def _lorentz_shifts() -> str:
+    """Return the smallest and the largest drift in X (mm) between mid-gap and anode in the design at -1 T."""
+    shifts = []
+    for layer in cg.load(PRESETS[0]).cgem:
+        drift = layer_drift(layer, -1.0)
+        angle = drift.shift + drift.tan_lorentz * np.log(layer.r_gap_out / layer.r_mid)
+        shifts.append(abs(angle * layer.r_readout))
+    return f"−{min(shifts):.1f} to −{max(shifts):.1f}"
 
 
 def draw_presets(found: Found) -> Figure:
