@@ -6,6 +6,7 @@ model to that of the fit; the last line has the widths of simulated tracks where
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,7 +190,21 @@ def blocks(found: Found) -> dict[str, str]:
         for row in found["steps"].rows
         if (row.detector, row.p) == (DESIGN, 1.0)
     ]
-    return {"steps": table(head, lines)}
+    return {"steps": table(head, lines), **_agreement(found["steps"].rows)}
+
+
+def _agreement(rows: Sequence[Step]) -> dict[str, str]:
+    """Return the largest difference (%) of both programs, and of simulated tracks from the last covariance."""
+    steps = {(row.detector, row.p, row.step): row for row in rows}
+    found = {}
+    for name, one, other in (
+        ("programs", "the table's model", "the table"), ("tracks", SIMULATED, "all cells that fire")
+    ):  # fmt: skip
+        pairs = [(row, steps[row.detector, row.p, other]) for row in rows
+                 if row.step == one and (row.detector, row.p, other) in steps]  # fmt: skip
+        off = [getattr(a, key) / getattr(b, key) - 1 for a, b in pairs for key in ("dr", "dz", "sigma_p")]
+        found[name] = f"{100 * max(map(abs, off)):.1f}"
+    return found
 
 
 PAGE = Page("linear_table", "docs/paper.md", "5 min", {"steps": (Step, measure)}, blocks)
