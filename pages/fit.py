@@ -491,6 +491,7 @@ def blocks(found: Found) -> dict[str, str]:
         "choice-events": found["losses"].about["events"],
         "pulls": _pull_table(results),
         "from-optimum": _from_optimum(results),
+        "default-off": _default_off(results),
         "chi2-off": _chi2_text(results),
         "residual-pulls": _residual_text(results),
         "widths": _width_table(results.widths),
@@ -521,6 +522,16 @@ def _from_optimum(results: FitResults) -> str:
     off = [row for row in results.pulls if row.mode == "gaussian" and row.p > 0.15 and not row.agrees]
     away = [abs(row.mean - row.expected_mean) for row in off if row.expected_mean is not None]
     return f"{max(away):.3f}" if away else "0"
+
+
+def _default_off(results: FitResults) -> str:
+    """Return the pulls of the default sample that are outside the gate."""
+    places: dict[str, list[str]] = {}
+    for row in results.pulls:
+        if row.mode == "default" and not row.agrees:
+            place = f"{row.particle} at {row.p:g} GeV/c and cos(theta) {row.cos_theta:g} in `{row.detector}`"
+            places.setdefault(place, []).append(f"{row.parameter} (width {row.width:.2f})")
+    return "; ".join(f"{' and '.join(pulls)} of {place}" for place, pulls in places.items()) or "none"
 
 
 def _chi2_text(results: FitResults) -> str:

@@ -267,7 +267,9 @@ def _spans(rows: Sequence[Comparison]) -> dict[str, str]:
         return span(lambda r: r.model == "WVI" and r.quantity == f"loss_kev_{quantity}" and r.slab in slabs)
 
     solids = [slab for slab in TITLES if slab != "Ar_10mm"]
+    widths = [row for row in rows if row.quantity == "loss_kev_fwhm" and row.slab in solids]
     return {
+        "narrow-kev": f"{max(abs(row.value - row.reference) for row in widths):.0f}",
         "moliere": span(lambda r: r.model == "SS" and r.quantity == ANGLES[0], "moliere"),
         "narrow": loss("fwhm", *solids),
         "q16": loss("q16", *solids),

@@ -168,7 +168,8 @@ def blocks(found: Found) -> dict[str, str]:
             [f"{one.radius:g}", one.start_radius, f"{one.far:.1f}", f"±{one.kappa:.2f}", f"{one.displaced:.1f}"]
         )
     head = ["begin at mm", "start_radius", "a pull beyond 8, %", "68 % of pulls of kappa", "displaced %"]
-    far = [row.far_displaced for row in found["begins"].rows if row.radius >= RADII_SHOWN[1] and row.start_radius == "0"]
+    beside = [row for row in found["begins"].rows if row.radius >= RADII_SHOWN[1] and row.start_radius == "0"]
+    far = [row.far_displaced for row in beside]
     texts |= {
         "marked": f"{min(far):.0f} to {max(far):.0f}",
         "marked-origin": f"{found['begins'].rows[0].displaced:.1f}",
