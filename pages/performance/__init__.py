@@ -11,10 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+import cgemit as cg
+from cgemit.detector import slabs
+from pages.geant4 import read
 from pages.page import Found, Page, table
 from pages.performance import designs, fits, operations, peers, simulation, stages
 from pages.performance.fits import FieldCost
 from pages.performance.stages import CHAIN, Chain, Cost
+from pages.performance.timing import DETECTOR
 
 STAGES = {
     "simulate_us": "simulation", "digitize_us": "digitization", "cluster_us": "clusters",
@@ -73,6 +77,12 @@ def _peers(rows: Sequence[peers.Peer]) -> str:
     return table(["", "ACTS, µs", "cgemit with", "cgemit, µs", "ratio"], lines)
 
 
+def _slow_fits(rows: Sequence[peers.Peer]) -> str:
+    """Return the ratios of the fits at 0.3 GeV/c, by instruction set."""
+    fits = [row for row in rows if row.case.startswith("0.3 GeV") and row.what.startswith("fit, smoother")]
+    return " and ".join(f"{row.acts_us / row.us:.0f} (`{row.isa}`)" for row in fits)
+
+
 def _cases(rows: Sequence[simulation.CaseCost]) -> str:
     lines = [[row.case, f"{row.us:.1f}", f"{row.products:.2f}"] for row in rows]
     return table(["simulated", "µs per muon", "in products of matrices"], lines)
@@ -128,7 +138,12 @@ def blocks(found: Found) -> dict[str, str]:
         "memory": _memory(rows["memory"]),
         "limit": f"{rows['stages'][0].limit_gflops:.1f}",
         "operations": _operations(every["operations"], rows["stages"]),
+        "scatterers": str(len(slabs(cg.load(DETECTOR)))),
         "peers": _peers([row for row in rows["peers"] if row.case.startswith("1 GeV")]),
+        "peers-slow": _slow_fits(rows["peers"]),
+        "programs": table(
+            ["program", "µs per muon", "what it does"], [list(row.values()) for row in read("programs.csv")]
+        ),
         "simulation": _cases(rows["simulation"]),
         "simulation-fields": _fields(rows["simulation_fields"]),
         "fit-fields": _fields(rows["fit_fields"]),
