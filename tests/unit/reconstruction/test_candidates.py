@@ -270,7 +270,7 @@ def test_every_problem_is_listed_with_its_row(result):
         f"candidate_hits row {on_wire[9]}: candidate: got 80, expected 0 to 80 (excluded), rows of candidates",
         f"candidate_hits row {on_wire[10]}: row: got {len(wires)}, expected 0 to {len(wires)} (excluded), rows of wire",
         f"candidate_hits row {on_x[4]}: view: got 1, expected that of clusters row {row[on_x[4]]}, whose view is 0",
-        f"candidate_hits row {on_x[5]}: view: got 7, expected 0 (X), 1 (V), 2 (wire) or 3 (XV point)",
+        f"candidate_hits row {on_x[5]}: view: got 7, expected 0 (X), 1 (V), 2 (wire) or 3 (XV cluster)",
     ]
     assert [line for line in expected if line not in text] == []
 
@@ -346,7 +346,7 @@ def test_points_beside_their_strips_are_refused(result):
     first = result.clusters["x_cluster"][points[0]]
     columns = {"event": [0, 0], "candidate": [0, 0], "view": [HIT_X, HIT_XV], "row": [first, points[0]]}
     hits = Table("candidate_hits", columns, 40)
-    with pytest.raises(ValueError, match=f"row 0: got clusters row {points[0]}, an XV point, and row {first}"):
+    with pytest.raises(ValueError, match=f"row 0: got clusters row {points[0]}, an XV cluster, and row {first}"):
         fit(DETECTOR, result.clusters, result.wire_hits, result.candidates, hits)
 
 

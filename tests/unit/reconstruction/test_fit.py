@@ -343,6 +343,7 @@ def test_delta_electrons_leave_the_track_at_an_end_of_a_long_cluster(event, view
 
 
 ALL = _core._testing.SeedFrom.wires_and_clusters
+AZIMUTHS = _core._testing.SeedFrom.azimuths
 
 # What a first helix of a clean track may miss: a few times what it does (dr mm, phi0 rad, kappa relative, dz mm, tanl).
 NEAR = np.array([2.0, 0.02, 0.05, 5.0, 0.04])
@@ -388,10 +389,26 @@ def test_clean_track(bz, kappa, hidden):
         hits = tracks.hits_on(detector, true)
         if hidden:
             hits["side"][:] = 0
-        for source in (ALL, _core._testing.SeedFrom.wires):
+        for source in (ALL, _core._testing.SeedFrom.wires, AZIMUTHS):
             found = seeds(hits, [0, len(hits["kind"])], tracks.MUON, source, detector)
-            near = NEAR * (1, 1, 1, 4, 1) if source != ALL and hidden else NEAR
+            near = NEAR * (1, 1, 1, 4, 1) if source == _core._testing.SeedFrom.wires and hidden else NEAR
             assert np.all(distance(found, true) < near), (number, source, found)
+
+
+def test_stereo_wires_and_clusters_make_a_helix():
+    """In a chamber without axial wires most first helices lie within an error of the fit, which has all hits, too."""
+    result = run.run("kloe2-like", Gun("mu-", p=(0.3, 2.0), cos_theta=(-0.86, 0.86)), n=400, seed=5)
+    flat = collect_hits(
+        result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits
+    )  # fmt: skip
+    mass, tracks_, names = result.candidates["mass"], result.tracks, helix.PARAMETERS
+    found = seeds(flat.columns(), flat.hit_offsets, mass, AZIMUTHS, result.detector)
+    apart = found - np.stack([tracks_[name] for name in names], axis=1)
+    apart[:, 1] = np.remainder(apart[:, 1] + np.pi, 2 * np.pi) - np.pi
+    pulls = np.abs(apart) / np.stack([tracks_[f"err_{name}"] for name in names], axis=1)
+    assert np.all(np.median(pulls, axis=0) < 1), np.median(pulls, axis=0)
+    assert np.all(np.quantile(pulls, 0.9, axis=0) < 4), np.quantile(pulls, 0.9, axis=0)
+    assert np.mean(tracks_["iterations"]) < 3
 
 
 def test_straight_track():

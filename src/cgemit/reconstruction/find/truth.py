@@ -120,12 +120,14 @@ def link_problems(table: Table, link: str, target: Table) -> list[str]:
     rows = table[link]
     if rows.max(initial=-1) >= len(target):
         return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
-    linked = np.flatnonzero(rows >= 0)
-    event, expected = target["event"].take(rows.take(linked)), table["event"].take(linked)
-    if np.array_equal(event, expected):
+    if not len(target):
         return []
-    first = np.argmax(event != expected)
-    given = f"{table.kind} row {linked[first]}, of event {expected[first]}, links to one of event {event[first]}"
+    event, expected = target["event"].take(rows, mode="clip"), table["event"]
+    strange = (event != expected) & (rows >= 0)
+    if not strange.any():
+        return []
+    first = np.argmax(strange)
+    given = f"{table.kind} row {first}, of event {expected[first]}, links to one of event {event[first]}"
     return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
 
 

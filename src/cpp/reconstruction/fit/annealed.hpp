@@ -76,8 +76,22 @@ class Annealed {
   void add(const Point& point) {
     if (n_ < most) put(n_++, point);
   }
-  // One of several points, that in a lane.
-  void add(const Points& points, int lane) { add(extracted(std::bit_cast<Numbers>(points), lane)); }
+  // The points of a mask.
+  void add(const Points& points, const mask_of<Number>& those) {
+    if (n_ % width == 0 && n_ < most && all(those)) {
+      numbers_[n_ / width] = std::bit_cast<Numbers>(points);
+      n_ += width;
+    } else {
+      each_lane(those, [&](int i) { add(extracted(std::bit_cast<Numbers>(points), i)); });
+    }
+  }
+
+  // The curve near a first one, without RANSAC.
+  Result near(const Model& model) {
+    if (n_ < Shape::least) return {std::nullopt, 0};
+    fill_up();
+    return settled(model);
+  }
 
   // Least squares with weights that become sharper as the curve improves. If many points are still lost,
   // RANSAC is tried as well.
@@ -100,7 +114,7 @@ class Annealed {
 
  private:
   using Sums = typename Shape::template Sums<Number>;
-  static constexpr double first = 20, near = 5;      // errors
+  static constexpr double first = 20, close = 5;     // errors
   static constexpr double few = 0.05, enough = 0.2;  // of the votes
   static constexpr std::size_t trials = 12;
   static constexpr int passes = 6;
@@ -160,7 +174,7 @@ class Annealed {
   // Votes of the points that the last measured curve misses.
   double lost() const {
     Number votes(0.0);
-    for (std::size_t i = 0; i < packs_; ++i) votes += at(i).drift_circle.lost(left_[i], near);
+    for (std::size_t i = 0; i < packs_; ++i) votes += at(i).drift_circle.lost(left_[i], close);
     return sum(votes);
   }
 

@@ -130,7 +130,7 @@ class Collector {
     const auto below = [](std::size_t n) { return "0 to " + std::to_string(n) + " (excluded)"; };
     const bool known = static_cast<std::size_t>(candidate) < candidates_.event.size();
     if (!known) add("candidate", candidate, below(candidates_.event.size()) + ", rows of candidates");
-    if (view < 0 || view > point_view) return add("view", view, "0 (X), 1 (V), 2 (wire) or 3 (XV point)");
+    if (view < 0 || view > point_view) return add("view", view, "0 (X), 1 (V), 2 (wire) or 3 (XV cluster)");
     const auto table = events(view);
     const std::string name = view == wire_view ? "wire_hits" : "clusters";
     if (static_cast<std::size_t>(row) >= table.size())
@@ -167,7 +167,7 @@ class Collector {
     const double err_x = clusters_.err_x[row], err_v = clusters_.err_v[row];
     if (view == 0) return put({0, 0, 0, layer, sheet, clusters_.size[row], x, err_x, 0, 0, number});
     if (view == 1) return put({1, 0, 0, layer, sheet, clusters_.size[row], v, err_v, 0, 0, number});
-    // The strips of an XV point belong to two clusters, so the errors of the point are its own.
+    // The strips of an XV cluster belong to two others, so its errors are its own.
     const double covariance = clusters_.cov_xv.empty() ? 0 : clusters_.cov_xv[row];
     put({0, 0, 0, layer, sheet, 0, x, err_x, 0, 0, number});
     if (err_x > 0 && !(std::abs(covariance) < err_x * err_v)) {
@@ -201,7 +201,7 @@ class Collector {
       Entry& v = entries_[j];
       const bool pair = x.kind == 0 && v.kind == 1 && alike(j - 1, j) && (j < 2 || !alike(j - 2, j)) &&
                         (j + 1 == entries_.size() || !alike(j, j + 1));
-      if (!pair || x.row == v.row) continue;  // of one row: an XV point
+      if (!pair || x.row == v.row) continue;  // of one row: an XV cluster
       const double rho = clusters_.corr_xv[static_cast<std::size_t>(v.row)];
       if (!(std::abs(rho) < 1)) {
         problems_.add("clusters row " + std::to_string(v.row) + ": corr_xv: got " + to_text(rho) +

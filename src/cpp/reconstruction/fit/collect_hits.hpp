@@ -15,7 +15,7 @@ struct CandidateInput {
   std::span<const double> mass;                  // GeV, likewise
   std::span<const std::int64_t> hit_event;       // of each hit, and the following
   std::span<const std::int64_t> candidate, row;  // which candidate, which row of the hit's table
-  std::span<const std::int8_t> view;             // 0 X, 1 V, 2 wire, 3 XV point
+  std::span<const std::int8_t> view;             // 0 X, 1 V, 2 wire, 3 XV cluster
 };
 
 struct ClusterInput {
@@ -23,7 +23,7 @@ struct ClusterInput {
   std::span<const std::int32_t> layer, sheet, size;
   std::span<const std::int8_t> view;  // 0 X, 1 V, 2 XV
   std::span<const double> x, v, err_x, err_v;
-  std::span<const double> cov_xv;  // mm^2, of XV points: covariance of x and v; may be empty
+  std::span<const double> cov_xv;  // mm^2, of XV clusters: covariance of x and v; may be empty
   std::span<const double>
       corr_xv;  // correlation of x and v of X and V clusters of one particle; may be empty
 };
@@ -35,8 +35,8 @@ struct WireInput {
   std::span<const std::int8_t> side;
 };
 
-// Flat columns; hits `offsets[i]` to `offsets[i + 1]` belong to candidate i. An XV point becomes two hits: X,
-// and the part of V that is uncorrelated with X. So do an X and a V cluster of a layer with a correlation.
+// Flat columns; hits `offsets[i]` to `offsets[i + 1]` belong to candidate i. An XV cluster becomes two hits:
+// X, and the part of V that is uncorrelated with X. So do an X and a V cluster of a layer with a correlation.
 struct CollectedHits {
   std::vector<std::int64_t> offsets;
   std::vector<std::uint8_t> kind;

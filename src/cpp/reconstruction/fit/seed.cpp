@@ -88,8 +88,46 @@ struct LineShape {
   };
 };
 
+// All hits at once: a step from a helix, (d, psi, w, z0, tanl), in linear order.
+struct StepShape {
+  using Model = Five<double>;
+  static constexpr std::size_t least = parameters + 1;
+  template <class T>
+  struct Point {
+    T present;    // mm, distance to the left of the helix
+    Five<T> row;  // its derivatives
+    DriftCircle<T> drift_circle;
+  };
+  template <class T>
+  static T left(const Five<double>& step, const Point<T>& p) {
+    return p.present + p.row[0] * step[0] + p.row[1] * step[1] + p.row[2] * step[2] + p.row[3] * step[3] +
+           p.row[4] * step[4];
+  }
+  template <class T>
+  struct Sums {
+    Symmetric<T> normal = Symmetric<T>::diagonal(Five<T>::zero());
+    Five<T> right = Five<T>::zero();
+    void add(const Point<T>& p, const Five<double>*, const Attraction<T>& attraction) {
+      const Five<T> weighted = attraction.weight * p.row;
+      normal.add([&](auto i, auto j) { return weighted[i] * p.row[j]; });
+      right = right + (attraction.offset - p.present) * weighted;
+    }
+    std::optional<Five<double>> solve() const {
+      // Weak constraints: 100 mm, 1 rad, 1/300 mm, 1 m, 3.
+      Symmetric<double> total = Symmetric<double>::diagonal({{1e-4, 1, 9e4, 1e-6, 0.1}});
+      for (std::size_t i = 0; i < total.v.size(); ++i) total.v[i] += sum(normal.v[i]);
+      Five<double> step;
+      unroll<parameters>([&](auto i) { step[i] = sum(right[i]); });
+      step = cgemit::solve(total, step);
+      if (!std::isfinite(step[0] + step[1] + step[2] + step[3] + step[4])) return std::nullopt;
+      return step;
+    }
+  };
+};
+
 using CircleFit = Annealed<CircleShape>;
 using LineFit = Annealed<LineShape>;
+using StepFit = Annealed<StepShape>;
 
 CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hits,
                               std::span<const std::int8_t> sides, SeedFrom from) {
@@ -109,14 +147,15 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
   return fit.result();
 }
 
-// Stereo wires of one track, one per lane, each with the side on which the track passes it.
-struct StereoWires {
+// Wires of one track, one per lane, each with the side on which the track passes it.
+struct Wires {
   std::array<const WireLayer*, lanes_of<Number>> layers;
   std::array<const Wire*, lanes_of<Number>> wires;
   Number drift, side;
   int n = 0;
 
-  void add(const WireLayer& layer, const Hit& hit, double known_side) {
+  // Returns whether there is no room for another one.
+  bool add(const WireLayer& layer, const Hit& hit, double known_side) {
     // Free lanes hold the last wire.
     for (int i = n; i < lanes_of<Number>; ++i) {
       layers[static_cast<std::size_t>(i)] = &layer;
@@ -124,36 +163,52 @@ struct StereoWires {
       set_lane(drift, i, hit.value);
       set_lane(side, i, known_side);
     }
-    ++n;
+    return ++n == lanes_of<Number>;
   }
 
-  // Adds those that the circle reaches. At height z a wire lies to the left of it by a quadratic in z.
-  void add_to(LineFit& line, const Circle& circle, const HelixPoint& start, double error) const {
-    const auto of = [](const auto& members, auto member) {
-      return gathered<Number>([&](int i) { return member(*members[static_cast<std::size_t>(i)]); });
-    };
-    const Number radius = sqrt(of(layers, [](const WireLayer& layer) { return layer.waist; })),
-                 reach = of(layers, [](const WireLayer& layer) { return layer.half_length; });
-    const Number x = of(wires, [](const Wire& wire) { return wire.x; }),
-                 y = of(wires, [](const Wire& wire) { return wire.y; }),
-                 gx = of(wires, [](const Wire& wire) { return wire.ex / wire.ez; }),
-                 gy = of(wires, [](const Wire& wire) { return wire.ey / wire.ez; });
-    HelixPointOf<Number> point{start.x, start.y, 0.0, start.ux, start.uy, 0.0, start.w};
-    Number s;
-    mask_of<Number> reached = radius > std::abs(circle.d);
-    reached = step_to_cylinder(point, radius, s, true, reached);
-    const auto [nx, ny] = circle.gradient(x, y);
-    const Number tilt = gx * gx + gy * gy;
-    const LineShape::Point<Number> points{s,
-                                          circle.algebraic(x, y),
-                                          nx * gx + ny * gy,
-                                          -0.5 * circle.w * tilt,
-                                          reach,
-                                          {drift, side, 1 / error, sqrt(tilt) / error}};
-    for (int i = 0; i < n; ++i)
-      if (lane(reached, i)) line.add(points, i);
+  mask_of<Number> there() const {
+    mask_of<Number> some(false);
+    for (int i = 0; i < n; ++i) set_lane(some, i, true);
+    return some;
+  }
+  Number each(double WireLayer::* member) const {
+    return gathered<Number>([&](int i) { return layers[static_cast<std::size_t>(i)]->*member; });
+  }
+  Number each(double Wire::* member) const {
+    return gathered<Number>([&](int i) { return wires[static_cast<std::size_t>(i)]->*member; });
   }
 };
+
+// Adds the wires that a circle reaches. At height z a wire lies to the left of it by a quadratic in z.
+void add_wires(const Wires& wires, const Circle& circle, double error, LineFit& line) {
+  HelixPointOf<Number> point{circle.x(), circle.y(), 0.0, circle.ux, circle.uy, 0.0, circle.w};
+  const Number radius = sqrt(wires.each(&WireLayer::waist)), x = wires.each(&Wire::x),
+               y = wires.each(&Wire::y), per_ez = 1.0 / wires.each(&Wire::ez),
+               gx = wires.each(&Wire::ex) * per_ez, gy = wires.each(&Wire::ey) * per_ez;
+  Number s;
+  const mask_of<Number> reached =
+      step_to_cylinder(point, radius, s, true, wires.there() & (radius > std::abs(circle.d)));
+  const auto [nx, ny] = circle.gradient(x, y);
+  const Number tilt = gx * gx + gy * gy;
+  line.add({s,
+            circle.algebraic(x, y),
+            nx * gx + ny * gy,
+            -0.5 * circle.w * tilt,
+            wires.each(&WireLayer::half_length),
+            {wires.drift, wires.side, 1 / error, sqrt(tilt) / error}},
+           reached);
+}
+
+struct Crossing {
+  HelixPoint point;
+  double s;
+};
+// Where a circle leaves a cylinder.
+std::optional<Crossing> crossing_of(const Circle& circle, double radius) {
+  Crossing at{{circle.x(), circle.y(), 0, circle.ux, circle.uy, 0, circle.w}, 0};
+  if (radius <= std::abs(circle.d) || !step_to_cylinder(at.point, radius, at.s)) return std::nullopt;
+  return at;
+}
 
 // V strips, crossed at the X of their layer that is closest to the circle, or else at the circle itself.
 LineShape::Point<double> strip_point(const MeasuringLayer& layer, const Hit& hit, std::span<const Hit> before,
@@ -188,57 +243,130 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
                           std::span<const std::int8_t> sides, SeedFrom from, const Circle& circle,
                           double scale) {
   LineFit line;
-  StereoWires wires;
-  const HelixPoint start{circle.x(), circle.y(), 0, circle.ux, circle.uy, 0, circle.w};
-  const auto add_wires = [&] {
-    wires.add_to(line, circle, start, wire_error * scale);
+  Wires wires;
+  const auto finish = [&] {
+    add_wires(wires, circle, wire_error * scale, line);
     wires.n = 0;
   };
   for (std::size_t i = 0; i < hits.size(); ++i) {
     const Hit& hit = hits[i];
     const auto index = static_cast<std::size_t>(hit.layer);
     if (hit.view == View::wire && detector.wires[index].twist != 0) {
-      wires.add(detector.wires[index], hit, sides[i]);
-      if (wires.n == lanes_of<Number>) add_wires();
+      if (wires.add(detector.wires[index], hit, sides[i])) finish();
     } else if (hit.view == View::v && from == SeedFrom::wires_and_clusters) {
       const MeasuringLayer& layer = detector.layers[index];
-      HelixPoint point = start;
-      double s = 0;
-      if (layer.r_mid() <= std::abs(circle.d) || !step_to_cylinder(point, layer.r_mid(), s)) continue;
-      line.add(strip_point(layer, hit, hits.first(i), point, s, scale));
+      const auto crossing = crossing_of(circle, layer.r_mid());
+      if (crossing) line.add(strip_point(layer, hit, hits.first(i), crossing->point, crossing->s, scale));
     }
   }
-  if (wires.n > 0) add_wires();
+  if (wires.n > 0) finish();
   return line.result();
 }
 
 // Track from the beam line with azimuth psi0 + w r/2 and z = z0 + tanl r, through wires with azimuth phi +
-// slope z: linear in (psi0, w/2, z0, tanl), with d = 0. For chambers with few axial layers.
+// slope z: linear in (psi0, w/2, z0, tanl), with d = 0. For chambers with few axial layers. Where the track
+// bends much, azimuth and arc are corrected with the result: arcsin(w r/2) in place of w r/2.
 std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Hit> hits) {
-  constexpr double error = 0.02;  // rad, half a cell
+  constexpr double error = 0.02;               // rad, half a cell
+  constexpr double little = 0.2, most = 0.95;  // of w r/2
   // Weak constraints: curvature 1/300 mm, z0 300 mm, tanl 3.
   const auto weak = [](double sigma) { return error * error / (sigma * sigma); };
-  Symmetric<double> normal = Symmetric<double>::diagonal({{1, 0, weak(1.0 / 300), weak(300.0), weak(3.0)}});
-  Five<double> right = Five<double>::zero();
-  double first = 0;
-  int points = 0;
-  for (const Hit& hit : hits) {
-    if (hit.view != View::wire) continue;
-    const WireLayer& layer = detector.wires[static_cast<std::size_t>(hit.layer)];
-    const Wire& wire = layer.placed[static_cast<std::size_t>(hit.channel)];
-    const double phi = std::atan2(wire.y, wire.x), r = std::sqrt(layer.waist);
-    if (points == 0) first = phi;
-    const double slope = layer.tan_half_twist / layer.half_length;
-    const Five<double> row = {{0, 1, r, -slope, -slope * r}};
-    normal.add([&](auto i, auto j) { return row[i] * row[j]; });
-    right = right + wrap_angle(phi - first) * row;
-    ++points;
+  Five<double> found = Five<double>::zero();
+  double first = 0, largest = 0;
+  for (int pass = 0; pass < 2; ++pass) {
+    Symmetric<double> normal = Symmetric<double>::diagonal({{1, 0, weak(1.0 / 300), weak(300.0), weak(3.0)}});
+    Five<double> right = Five<double>::zero();
+    int points = 0;
+    for (const Hit& hit : hits) {
+      if (hit.view != View::wire) continue;
+      const WireLayer& layer = detector.wires[static_cast<std::size_t>(hit.layer)];
+      const double phi = layer.phi_east - 0.5 * layer.twist + hit.channel / layer.per_radian,
+                   r = std::sqrt(layer.waist);
+      if (points == 0 && pass == 0) first = phi;
+      const double half = std::clamp(found[2] * r, -most, most),
+                   longer = half == 0 ? 1 : std::asin(half) / half;  // the arc over the chord
+      const double slope = layer.tan_half_twist / layer.half_length;
+      const Five<double> row = {{0, 1, r, -slope, -slope * r * longer}};
+      normal.add([&](auto i, auto j) { return row[i] * row[j]; });
+      right = right + wrap_angle(phi - first - half * (longer - 1)) * row;
+      largest = std::max(largest, r);
+      ++points;
+    }
+    if (points < 5) return std::nullopt;
+    found = solve(normal, right);
+    if (!std::isfinite(found[1] + found[2] + found[3] + found[4])) return std::nullopt;
+    if (std::abs(found[2]) * largest < little) break;
   }
-  if (points < 5) return std::nullopt;
-  const Five<double> found = solve(normal, right);
-  if (!std::isfinite(found[1] + found[2] + found[3] + found[4])) return std::nullopt;
   const double kappa = 2 * found[2] / curvature(detector.bz, 1.0);
   return Perigee{0, wrap_angle(first + found[1]), kappa, found[3], found[4]};
+}
+
+// What a helix, with this circle and line, passes at (x + gx z, y + gy z), to linear order in a step of it.
+template <class T>
+StepShape::Point<T> step_point(const Circle& c, double z0, double tanl, const T& at_x, const T& at_y,
+                               const T& gx, const T& gy, const DriftCircle<T>& drift_circle) {
+  T x = at_x, y = at_y, s, sine, cosine;
+  for (int pass = 0; pass < 2; ++pass) {  // the arc needs the wire's place at the height of the track
+    const T dx = x - c.x(), dy = y - c.y();
+    const T ahead = dx * c.ux + dy * c.uy, across = 1.0 - c.w * (dy * c.ux - dx * c.uy);
+    const T per_reach = 1.0 / sqrt(c.w * c.w * ahead * ahead + across * across);
+    sine = ahead * per_reach;  // of the angle turned, over w
+    cosine = across * per_reach;
+    s = choose(
+        cosine > 0.0, [&] { return ahead / across * atan_over(c.w * ahead / across); },
+        [&] { return atan2(c.w * ahead, across) / c.w; });
+    const T z = z0 + tanl * s;
+    x = at_x + z * gx;
+    y = at_y + z * gy;
+  }
+  const auto [nx, ny] = c.leftward(x, y);
+  const T slope = gx * nx + gy * ny;
+  return {c.left(x, y), {{cosine, -sine, -sine * sine / (1.0 + cosine), slope, slope * s}}, drift_circle};
+}
+
+// The helix near a first one that agrees with most of the hits. Empty if it misses many of them.
+std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hits,
+                              std::span<const std::int8_t> sides, const Perigee& from) {
+  constexpr double sharp = 3;  // wire errors
+  const Circle circle{curvature(detector.bz, from.kappa), from.d, std::cos(from.psi), std::sin(from.psi)};
+  StepFit fit;
+  Wires wires;
+  const auto finish = [&] {
+    const Number per_ez = 1.0 / wires.each(&Wire::ez);
+    fit.add(step_point(circle, from.z0, from.tanl, wires.each(&Wire::x), wires.each(&Wire::y),
+                       wires.each(&Wire::ex) * per_ez, wires.each(&Wire::ey) * per_ez,
+                       DriftCircle<Number>{wires.drift, wires.side, 1 / wire_error, 1.0}),
+            wires.there());
+    wires.n = 0;
+  };
+  // Wires first: they then fill the lanes as they come.
+  for (std::size_t i = 0; i < hits.size(); ++i) {
+    if (hits[i].view == View::wire &&
+        wires.add(detector.wires[static_cast<std::size_t>(hits[i].layer)], hits[i], sides[i]))
+      finish();
+  }
+  if (wires.n > 0) finish();
+  for (std::size_t i = 0; i < hits.size(); ++i) {
+    const Hit& hit = hits[i];
+    if (hit.view == View::wire) continue;
+    const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(hit.layer)];
+    const double r = layer.r_mid();
+    if (hit.view == View::x) {
+      const double phi = azimuth(layer, hit.channel, hit.value);
+      fit.add(step_point(circle, from.z0, from.tanl, r * std::cos(phi), r * std::sin(phi), 0.0, 0.0,
+                         DriftCircle<double>{0, 1, 1 / strip_error, 1}));
+    } else if (const auto crossing = crossing_of(circle, r)) {
+      const LineShape::Point<double> v =
+          strip_point(layer, hit, hits.first(i), crossing->point, crossing->s, 1);
+      fit.add({v.at(from.z0 + from.tanl * v.s), {{0, 0, 0, v.g1, v.g1 * v.s}}, v.drift_circle});
+    }
+  }
+  const auto [step, scale] = fit.near(Five<double>::zero());
+  if (!step || !(scale < sharp)) return std::nullopt;
+  const double kappa = from.kappa + (*step)[2] / curvature(detector.bz, 1.0);
+  return Seed{{from.d + (*step)[0], wrap_angle(from.psi + (*step)[1]), kappa == 0 ? 1e-9 : kappa,
+               from.z0 + (*step)[3], from.tanl + (*step)[4]},
+              wire_error * scale};
 }
 
 }  // namespace
@@ -252,8 +380,10 @@ std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hi
   };
   const double middle = 0.5 * (radius(hits.front()) + radius(hits.back()));
   if (from == SeedFrom::azimuths) {
-    const auto helix = seed_from_azimuths(detector, hits);
-    return helix ? std::optional(Seed{before_loss(detector, *helix, middle, mass), HUGE_VAL}) : std::nullopt;
+    const auto first = seed_from_azimuths(detector, hits);
+    if (!first) return std::nullopt;
+    const Seed seed = seed_near(detector, hits, sides, *first).value_or(Seed{*first, HUGE_VAL});
+    return Seed{before_loss(detector, seed.helix, middle, mass), seed.spread};
   }
   const auto [circle, scale] = find_circle(detector, hits, sides, from);
   if (!circle) return std::nullopt;

@@ -1,5 +1,6 @@
 // A first helix from the hits. Either a circle through the axial wires and a line through the stereo wires,
-// with or without the CGEM clusters; or a track from the beam line through the azimuths of all wires.
+// with or without the CGEM clusters; or a track from the beam line through the azimuths of all wires, moved
+// to their drift circles and the CGEM clusters.
 #pragma once
 
 #include <optional>
@@ -13,7 +14,7 @@ namespace cgemit {
 enum class SeedFrom {
   wires,               // the drift chamber alone
   wires_and_clusters,  // the drift chamber and the CGEM clusters
-  azimuths             // all wires at once, axial or stereo, for a track from the beam line
+  azimuths             // all wires at once, axial or stereo, then all hits, for a track from the beam line
 };
 
 struct Seed {

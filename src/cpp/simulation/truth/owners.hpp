@@ -34,7 +34,7 @@ struct MatchInput {
 
 struct MatchOutput {
   // Of each candidate: row of its particle, hits of it without those of its daughters, all hits, and those of
-  // the particle's first half turn. An XV point counts as two hits.
+  // the particle's first half turn. An XV cluster counts as two hits.
   std::vector<std::int64_t> particle, own, hits, found;
   std::vector<std::int64_t>
       left;  // X and V clusters and wire hits of each particle's first half turn, at least 1
