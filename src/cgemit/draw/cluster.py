@@ -116,7 +116,8 @@ def draw_cluster(result: Result, event: int, layer: int = 0) -> Picture:
         picture, (axes,) = new_picture(1, 1, (7.6, 5.0))
         x, z = hit.x(hit.phi), hit.z
         centre = (float(x[1]), float(z[1]))
-        half = 1.35 * max(abs(np.ptp(x)), abs(np.ptp(z)), 3.2 * hit.layer.pitch_x)
+        fired = max(abs((strip + edge) * hit.layer.pitch_x - centre[0]) for strip in hit.strips_x for edge in (0, 1))
+        half = max(1.35 * max(abs(np.ptp(x)), abs(np.ptp(z)), 3.2 * hit.layer.pitch_x), 1.05 * fired)
         _draw_strips(axes, hit, centre, half)
         axes.plot(x[[0, 2]], z[[0, 2]], "-", color=COLORS["truth"], lw=2.2, label="drift-gap crossing, projected")
         axes.plot(x[0], z[0], "o", color=COLORS["truth"], ms=6, mec="white")
