@@ -47,7 +47,7 @@ napoleon_numpy_docstring = True
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_param = False
-napoleon_use_ivar = True
+napoleon_custom_sections = [("Attributes", "params_style")]  # several names in one line, as of parameters
 
 
 def _literal(app, what, name, obj, options, lines):
