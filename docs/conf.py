@@ -28,6 +28,7 @@ html_title = f"cgemit {release}"
 html_static_path = ["site/static", f"{find_spec('sphinx-mathjax-offline').submodule_search_locations[0]}/static"]
 mathjax_path = "mathjax/tex-chtml.js"
 html_css_files = ["wide.css"]
+html_favicon = "site/favicon.svg"
 html_extra_path = ["site/index.html"]  # index.html, which leads to docs/index.html
 
 myst_enable_extensions = ["dollarmath"]
