@@ -671,7 +671,7 @@ def _draw_losses(left: Axes, right: Axes, results: FitResults) -> None:
             xscale="log", xlabel="p  (GeV/c)", ylabel=f"core {quantity} of the pull of kappa", title="loss subtracted"
         )
         draw_grid(plot)
-    left.legend()
+    right.legend()
 
 
 def _draw_sides(plot: Axes, results: FitResults) -> None:
