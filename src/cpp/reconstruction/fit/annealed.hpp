@@ -4,11 +4,12 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <optional>
+#include <type_traits>
 
+#include "common/compiler.hpp"
 #include "common/lanes/number.hpp"
 
 namespace cgemit {
@@ -79,18 +80,26 @@ class Annealed {
   // The points of a mask.
   void add(const Points& points, const mask_of<Number>& those) {
     if (n_ % width == 0 && n_ < most && all(those)) {
-      numbers_[n_ / width] = std::bit_cast<Numbers>(points);
+      points_[n_ / width] = points;
       n_ += width;
     } else {
-      each_lane(those, [&](int i) { add(extracted(std::bit_cast<Numbers>(points), i)); });
+      each_lane(those, [&](int i) { add(of_lane(points, i)); });
     }
   }
 
-  // The curve near a first one, without RANSAC.
-  Result near(const Model& model) {
+  // The curve near a first one that is off by up to half a cell: sides begin undecided. Without RANSAC.
+  Result near(Model model) {
     if (n_ < Shape::least) return {std::nullopt, 0};
     fill_up();
-    return settled(model);
+    constexpr double last = 1.5, cooling = 5;
+    for (double scale = largest_drift();; scale = std::max(scale / cooling, last)) {
+      find_left(model);
+      const auto next = moved(model, scale);
+      if (!next) return {std::nullopt, 0};
+      model = *next;
+      if (scale <= last) break;
+    }
+    return {model, measure(model, first)};
   }
 
   // Least squares with weights that become sharper as the curve improves. If many points are still lost,
@@ -100,7 +109,7 @@ class Annealed {
     fill_up();
     Sums sums;
     for (std::size_t i = 0; i < packs_; ++i) {
-      const Points points = at(i);
+      const Points& points = points_[i];
       const Number square = points.drift_circle.per_error * points.drift_circle.per_error,
                    drift = points.drift_circle.drift;
       sums.add(points, nullptr, {0.0, square / (square * drift * drift + first * first)});
@@ -120,20 +129,23 @@ class Annealed {
   static constexpr int passes = 6;
   static constexpr std::size_t most = 128, width = lanes_of<Number>;
   static constexpr std::size_t members = sizeof(Point) / sizeof(double);
-  using Numbers = std::array<Number, members>;  // the members of points
 
+  // A point, or the points of the lanes, as an array of its members.
+  template <class P>
+  static auto* members_of(P& point) {
+    using Member = std::conditional_t<sizeof(P) == sizeof(Point), double, Number>;
+    return reinterpret_cast<std::conditional_t<std::is_const_v<P>, const Member, Member>*>(&point);
+  }
   void put(std::size_t i, const Point& point) {
-    const auto values = std::bit_cast<std::array<double, members>>(point);
     for (std::size_t m = 0; m < members; ++m)
-      set_lane(numbers_[i / width][m], static_cast<int>(i % width), values[m]);
+      set_lane(members_of(points_[i / width])[m], static_cast<int>(i % width), members_of(point)[m]);
   }
-  Points at(std::size_t pack) const { return std::bit_cast<Points>(numbers_[pack]); }
-  Point point(std::size_t i) const { return extracted(numbers_[i / width], static_cast<int>(i % width)); }
-  static Point extracted(const Numbers& numbers, int i) {
-    std::array<double, members> values;
-    for (std::size_t m = 0; m < members; ++m) values[m] = lane(numbers[m], i);
-    return std::bit_cast<Point>(values);
+  static Point of_lane(const Points& points, int i) {
+    Point point;
+    for (std::size_t m = 0; m < members; ++m) members_of(point)[m] = lane(members_of(points)[m], i);
+    return point;
   }
+  Point point(std::size_t i) const { return of_lane(points_[i / width], static_cast<int>(i % width)); }
 
   // Repeats the last point without weight in the free lanes.
   void fill_up() {
@@ -160,10 +172,10 @@ class Annealed {
 
   // Measures the distances of the points from the curve. Returns the distance of most points; points far
   // outside the last scale count as if they were at its edge.
-  double measure(const Model& model, double scale) {
+  CGEMIT_FLATTEN double measure(const Model& model, double scale) {
     Number far(0.0);
     for (std::size_t i = 0; i < packs_; ++i) {
-      const Points points = at(i);
+      const Points& points = points_[i];
       left_[i] = Shape::left(model, points);
       const DriftCircle<Number>& of = points.drift_circle;
       far += smaller(abs(of.miss(left_[i])) * of.per_error, 1.5 * scale);
@@ -171,23 +183,39 @@ class Annealed {
     return std::max(1.2 * sum(far) / static_cast<double>(n_), 1.0);
   }
 
+  void find_left(const Model& model) {
+    for (std::size_t i = 0; i < packs_; ++i) left_[i] = Shape::left(model, points_[i]);
+  }
+
+  // In errors, at least 1.
+  double largest_drift() const {
+    Number drift(0.0);
+    for (std::size_t i = 0; i < packs_; ++i) {
+      const DriftCircle<Number>& of = points_[i].drift_circle;
+      drift = larger(drift, of.drift * of.per_error);
+    }
+    double found = 1;
+    for (int i = 0; i < lanes_of<Number>; ++i) found = std::max(found, lane(drift, i));
+    return found;
+  }
+
   // Votes of the points that the last measured curve misses.
   double lost() const {
     Number votes(0.0);
-    for (std::size_t i = 0; i < packs_; ++i) votes += at(i).drift_circle.lost(left_[i], close);
+    for (std::size_t i = 0; i < packs_; ++i) votes += points_[i].drift_circle.lost(left_[i], close);
     return sum(votes);
   }
 
   double votes() const {
     Number votes(0.0);
-    for (std::size_t i = 0; i < packs_; ++i) votes += at(i).drift_circle.votes;
+    for (std::size_t i = 0; i < packs_; ++i) votes += points_[i].drift_circle.votes;
     return sum(votes);
   }
 
-  std::optional<Model> moved(const Model& model, double scale) const {
+  CGEMIT_FLATTEN std::optional<Model> moved(const Model& model, double scale) const {
     Sums sums;
     for (std::size_t i = 0; i < packs_; ++i) {
-      const Points points = at(i);
+      const Points& points = points_[i];
       sums.add(points, &model, attraction_of(points.drift_circle, left_[i], scale));
     }
     return sums.solve();
@@ -219,7 +247,7 @@ class Annealed {
     return best;
   }
 
-  std::array<Numbers, most / width> numbers_;
+  std::array<Points, most / width> points_;
   std::array<Number, most / width> left_;  // mm, distance of the points to the left of the present curve
   std::size_t n_ = 0, packs_ = 0;
 };

@@ -144,7 +144,7 @@ def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypat
     assert found[0].core == pytest.approx(1, abs=0.08)
     assert abs(found[0].mean) < 0.15
     assert found[0].beyond < 0.04
-    assert {one.quantity for one in found} == {"all", "slope", "strips", "charge", "view"}
+    assert {one.quantity for one in found} == {"all", "design", "slope", "strips", "charge", "view"}
     for name in ("slope", "charge", "view"):
         assert sum(one.clusters for one in found if one.quantity == name) > 0.98 * found[0].clusters
 
