@@ -520,10 +520,18 @@ class Scan(ScanBase):
         return title, [*head, "decayed", "fitted", "not fitted"], rows
 
     def note(self) -> str:
-        """Return how the tracks ended where hardly any was fitted; empty if there are enough everywhere."""
+        """Return where hardly any track was fitted, and where the fit lost more than 5 % of them; empty if nowhere."""
         few = hardly_fitted(self.samples)
-        momenta = ", ".join(f"{momentum_of(s):g}" for s in few)
-        return f"at {momenta} GeV/c: {why_unfitted(few)}" if few else ""
+        lines = [f"at {_momenta(few)} GeV/c: {why_unfitted(few)}"] if few else []
+        lost = [s for s in self.samples if sum(s.removed.values()) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
+        if lost:
+            about = "over 5 % of the tracks are not fitted; the widths of the others may be too small"
+            lines.append(f"at {_momenta(lost)} GeV/c: {about}")
+        return "\n".join(lines)
+
+
+def _momenta(samples: Sequence[Sample]) -> str:
+    return ", ".join(f"{momentum_of(sample):g}" for sample in samples)
 
 
 def scan(

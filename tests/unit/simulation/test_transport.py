@@ -926,8 +926,10 @@ def test_studies_say_how_many_decayed():
     scan = cg.study.scan(DETECTOR, [0.3], particle="K-", cos_theta=(-0.5, 0.5), events=300, seed=4)
     gone = scan.samples[0].transport["decayed"]
     assert gone > np.count_nonzero(scan.samples[0].tracks["decayed"] == 1) > 50
-    assert f" {gone} " in repr(scan).splitlines()[-1]
-    assert "decayed" in repr(scan)
+    _, head, row, note = repr(scan).splitlines()
+    assert f" {gone} " in row
+    assert "decayed" in head
+    assert note.startswith("at 0.3 GeV/c: over 5 % of the tracks are not fitted")
 
 
 @pytest.mark.slow
