@@ -171,16 +171,16 @@ class DetectorError(ProblemsError):
     """
 
 
-def did_you_mean(word: object, known: Iterable[object], before: str = "") -> str:
+def did_you_mean(word: object, known: Iterable[object], before: str = "", *, near: float = 0.6) -> str:
     """Return ``did you mean "pitch_x"?`` for the nearest known word, after `before`; an empty text if none is near.
 
     Case counts first (GeV is not Gev), but a word in the wrong case is recognised, too. A value that is not a text is
-    near none.
+    near none. `near` is the least similarity, 0 to 1.
     """
     if not isinstance(word, str):
         return ""
     names = [name for name in known if isinstance(name, str)]
     by_lower = {name.lower(): name for name in names}
-    close = difflib.get_close_matches(word, names, n=1)
-    close = close or [by_lower[name] for name in difflib.get_close_matches(word.lower(), by_lower, n=1)]
+    close = difflib.get_close_matches(word, names, n=1, cutoff=near)
+    close = close or [by_lower[name] for name in difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=near)]
     return f'{before}did you mean "{close[0]}"?' if close else ""

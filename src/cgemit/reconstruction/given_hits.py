@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.errors import did_you_mean
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.core import strip_view
 from cgemit.detector.parts import crossing_z, local_v, pitches, without_layers
@@ -24,6 +25,7 @@ from cgemit.reconstruction.candidates import (
 )
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
+from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import RefineSettings, refinements
@@ -33,6 +35,14 @@ from cgemit.tables.show import columns_of
 Column = npt.NDArray[Any]
 Columns = dict[str, Column]
 
+#: Columns that are read.
+_SHARED = ("event", "candidate", "layer")
+_COORDINATES = ("sheet", "view", "phi", "z", "x", "v", "first", "last", "size")
+_ERRORS = ("err", "err_phi", "err_z", "err_x", "err_v", "cov", "cov_phi_z", "cov_xv")
+_READ = {
+    "clusters": (*_SHARED, *_COORDINATES, *_ERRORS),
+    "wire_hits": (*_SHARED, "wire", "drift", "sigma", "side", "drift_time"),
+}
 _WHOLE = ("event", "layer", "sheet", "view", "first", "last", "size", "wire", "side", "candidate", "gid")
 
 
@@ -68,6 +78,11 @@ def read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -
             columns[name] = _whole(kind, name, column, problems)
         elif name == "cov" and column.shape != (rows, 2, 2):
             problems.append(f"{kind}: cov: got shape {column.shape}, expected ({rows}, 2, 2)")
+    absent = [name for name in _READ[kind] if name not in columns]
+    known = {*_READ[kind], *(column.name for column in SCHEMAS[kind])}
+    for name in columns:  # a finder may read others
+        if name not in known and (hint := did_you_mean(name, absent, near=0.85)):
+            problems.append(f"{kind}: {name}: got an unknown column; {hint}")
     if problems:
         return read(kind, None, needed, problems)
     columns.setdefault("event", np.zeros(rows, np.int64))
@@ -133,7 +148,9 @@ def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
             problems.append(RowProblem("clusters", int(row), name, got, expected))
 
     refuse("layer", (layer < 0) | (layer >= layers), f"a layer of the detector, 0 to {layers - 1}")
-    point = clusters["view"] == XV_CLUSTER
+    view = clusters["view"]
+    refuse("view", (view < HIT_X) | (view > XV_CLUSTER), "0 (X), 1 (V) or 2 (XV)")
+    point = view == XV_CLUSTER
     for name, other, unit in (("phi", "x", "rad"), ("z", "v", "mm")):
         if name in clusters:
             by_position = np.isnan(clusters[name]) & np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
@@ -232,7 +249,7 @@ def fit_hits(
     clusters: Any = None,
     wire_hits: Any = None,
     *,
-    candidates: Finder | Mapping[str, Table] | None = None,
+    candidates: Finder | Literal["ckf"] | Mapping[str, Table] | None = None,
     hypothesis: str = "mu",
     settings: FitSettings | None = None,
     refine: RefineSettings | None = None,
@@ -249,9 +266,10 @@ def fit_hits(
         `err`, or `err_x` and `err_v`, mm. Strips need none. `sheet` is needed where a layer has two, but for points.
     wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
         Rows with `layer`, `wire`, `drift` mm; `sigma` mm (default: the detector's), `side` (+1, -1; 0 unknown).
-    candidates : callable, mapping of str to Table, or None
-        A finder as for `run`, or the tables ``candidates`` and ``candidate_hits`` for hits that are tables. None: the
-        column `candidate` of the hits, a number within the event (below 0: none), or all hits of an event together.
+    candidates : "ckf", callable, mapping of str to Table, or None
+        A finder as for `run` ("ckf" is `find_tracks`), or the tables ``candidates`` and ``candidate_hits`` for hits
+        that are tables. None: the column `candidate` of the hits, a number within the event (below 0: none), or all
+        hits of an event together.
     hypothesis : str
         Particle whose mass the fit assumes, ``"e"``, ``"mu"``, ``"pi"``, ``"K"`` or ``"p"``.
     settings : FitSettings or None
@@ -268,7 +286,7 @@ def fit_hits(
     Raises
     ------
     ValueError
-        Listing everything that is wrong with the columns or the hits, by their rows as given.
+        Listing what is wrong with the columns or the hits, by their rows as given; the first 10 of many.
 
     Examples
     --------
@@ -282,9 +300,13 @@ def fit_hits(
     problems: list[str] = []
     if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
         problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+    if isinstance(candidates, str) and candidates != "ckf":
+        problems.append(f"candidates: got {candidates!r}, expected 'ckf', a finder, tables or None")
     hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None)
     events = hits[0].events
-    if candidates is None:
+    if candidates == "ckf":
+        candidates = find_tracks
+    elif candidates is None:
         labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
         candidates = label_candidates(*hits, labels[0], labels[1], hypothesis)
     tables = None if callable(candidates) else check_found(candidates, "given", events)
@@ -348,21 +370,25 @@ def hit_tables(
     wrong += [
         one for i, *about in listed if (one := RowProblem(tables[i], int(measured["row"][i]), *about))[:2] not in rows
     ]
-    problems += dict.fromkeys(map(str, wrong))
-    if count > len(listed):
-        problems.append(f"and {count - len(listed)} more")
+    problems += dict.fromkeys(map(str, sorted(wrong, key=lambda one: one[:2])))
     if labelled:  # else a finder may tell equal hits apart
         problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
         problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))
-    _raise(problems)
+    _raise(problems, unlisted=count - len(listed))
     if events is None:
         events = np.unique(np.concatenate([part["event"] for part in columns]))
     return _table("clusters", columns[0], events), _table("wire_hits", columns[1], events)
 
 
-def _raise(problems: list[str]) -> None:
+#: Problems that an error lists.
+_MOST_LISTED = 10
+
+
+def _raise(problems: list[str], unlisted: int = 0) -> None:
+    more = max(len(problems) - _MOST_LISTED, 0) + unlisted
     if problems:
-        raise ValueError("fit_hits:\n  " + "\n  ".join(problems))
+        lines = problems[:_MOST_LISTED] + ([f"and {more} more"] if more else [])
+        raise ValueError("fit_hits:\n  " + "\n  ".join(lines))
 
 
 def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) -> Columns:
@@ -375,9 +401,6 @@ def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) ->
         )
     columns = dict(given)
     view = columns["view"] = given.get("view", np.full(n, XV_CLUSTER))
-    wrong = np.flatnonzero((view < HIT_X) | (view > XV_CLUSTER))
-    if len(wrong):
-        problems.append(f"clusters row {wrong[0]}: view: got {view[wrong[0]]}, expected 0 (X), 1 (V) or 2 (XV)")
     if np.any(view == XV_CLUSTER) and not ({"err_phi", "err_z"} <= has or {"err_x", "err_v"} <= has or "cov" in has):
         problems.append("clusters: got points without errors; expected err_phi and err_z, cov, or err_x and err_v")
     if n and not detector.layers:

@@ -79,10 +79,10 @@ def test_the_page_runs(tmp_path, monkeypatch, capsys):
     chi2 = {name: float(value) for name, value in re.findall(r"^taken as (\w+) +chi2/ndf (\S+)$", text, re.MULTILINE)}
     assert chi2["corrected"] > 1.5
     assert 0.9 < chi2["raw"] < 1.1
-    assert "200 of 200 tracks fitted" in text
+    assert "1992 of 2000 tracks fitted" in text
     pulls = [float(found) for found in re.findall(r"residual (\S+) of the error", text)]
     assert len(pulls) == 5
-    assert all(0.5 < pull < 0.85 for pull in pulls)
+    assert all(0.6 < pull < 0.75 for pull in pulls)  # 0.674, of which 0.07 are 4 standard errors
 
 
 def test_strips_and_drift_distances_are_enough(run):
@@ -212,9 +212,21 @@ def test_candidates_by_column_finder_and_table(run):
     found = cg.fit_hits(DETECTOR, *numbered, candidates=by_number)
     np.testing.assert_array_equal(found["tracks"]["dr"], expected)
     assert found["tracks"].meta["finder"] == "by_number"
+    assert [found["candidates"]["candidate"][row] for row in found["tracks"]["candidate"]] == [1, 2, 3, 4]
     tables = {name: found[name] for name in ("candidates", "candidate_hits")}
     again = cg.fit_hits(DETECTOR, found["clusters"], found["wire_hits"], candidates=tables)
     np.testing.assert_array_equal(again["tracks"]["dr"], expected)
+
+
+def test_the_finder_of_run_by_its_name(run):
+    """It finds the five muons; other names are refused."""
+    found, same = (
+        cg.fit_hits(DETECTOR, strips_of(run), wires_of(run), candidates=by) for by in ("ckf", cg.find_tracks)
+    )
+    assert found["tracks"]["event"].tolist() == sorted(FAR.tolist())
+    np.testing.assert_array_equal(found["tracks"]["dr"], same["tracks"]["dr"])
+    with pytest.raises(ValueError, match="candidates: got 'truth', expected 'ckf', a finder, tables or None"):
+        cg.fit_hits(DETECTOR, strips_of(run), candidates="truth")
 
 
 def test_one_kind_of_hits_alone(run):
@@ -231,6 +243,23 @@ def test_one_kind_of_hits_alone(run):
     [
         ([1, 2], 3, ["clusters: got list, expected a table", "wire_hits: got int, expected a table"]),
         ({"phi": [1.0]}, {"layer": [8], "wire": [1]}, ["clusters: layer: missing", "wire_hits: drift: missing"]),
+        (
+            {"layer": [0], "phi": [1.0], "z": [0.0], "err_phi": [1e-3], "err_zz": [1.0], "candidates": [0], "q": [1]},
+            {"layer": [8], "wire": [1], "drift": [1.0], "Side": [1]},
+            [
+                'clusters: err_zz: got an unknown column; did you mean "err_z"?',
+                'clusters: candidates: got an unknown column; did you mean "candidate"?',
+                'wire_hits: Side: got an unknown column; did you mean "side"?',
+            ],
+        ),
+        (  # every wrong row, although strips depend on the view
+            {"layer": [0, 0, 0], "view": [7, 0, -1], "first": [1, 5, 1], "last": [1, 3, 1]}, None,
+            [
+                "clusters row 0: view: got 7, expected 0 (X), 1 (V) or 2 (XV)",
+                "clusters row 1: first, last: got 5, 3",
+                "clusters row 2: view: got -1, expected 0",
+            ],
+        ),
         ({"layer": [0, 1], "phi": [1.0]}, None, ["clusters: phi: got float64, shape (1,); expected 2 numbers"]),
         ({"layer": [0.5], "phi": [1.0], "z": [1.0]}, None, ["clusters row 0: layer: got 0.5, expected a whole number"]),
         ({"layer": [0], "x": [1.0]}, None, ["got neither view nor phi and z"]),
@@ -327,8 +356,8 @@ def test_rows_are_told_by_numbers_not_by_messages(monkeypatch: pytest.MonkeyPatc
     wires = {"layer": [8] * 60, "wire": np.arange(60), "drift": [1.0] * 60, "sigma": [0.0] * 60}
     with pytest.raises(ValueError, match="fit_hits:") as error:
         cg.fit_hits(DETECTOR, points, wires)
-    sigmas = [f"sigma of {row}" for row in range(48)]  # the core lists 50, two of them X and V of the point
-    assert [line.strip() for line in str(error.value).splitlines()[1:]] == ["phi of 1", *sigmas, "and 12 more"]
+    sigmas = [f"sigma of {row}" for row in range(9)]  # 10 of 61; the core also names X and V of the point
+    assert [line.strip() for line in str(error.value).splitlines()[1:]] == ["phi of 1", *sigmas, "and 51 more"]
 
 
 def test_hits_given_twice(run):
