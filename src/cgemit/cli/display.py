@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.particles.gun import generate
 
     check_free(arguments.output, overwrite=arguments.overwrite)
-    (detector,), settings = options.load_inputs(arguments, one_track=True)
+    (detector,), settings = options.load_inputs(arguments, gun_of, one_track=True)
     particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event, detector)
     result = run.run(
         detector, particles, seed=arguments.seed, settings=settings, finder=arguments.finder or "truth", workers=1

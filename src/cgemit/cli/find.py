@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
-    (detector,), settings = options.load_inputs(arguments)
+    (detector,), settings = options.load_inputs(arguments, gun_of)
     gun = gun_of(arguments)
     # Half turns are linked by their fitted helices, with one mass hypothesis.
     links = settings.simulate.half_turns > 1 and not isinstance(settings.fit.hypothesis, tuple)

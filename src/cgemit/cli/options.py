@@ -492,12 +492,16 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=1, help="seed of the random numbers (default 1)")
 
 
-def load_inputs(arguments: argparse.Namespace, *, one_track: bool = False) -> tuple[list[Detector], Settings]:
+def load_inputs(
+    arguments: argparse.Namespace, gun: Callable[[argparse.Namespace], object] | None = None, *, one_track: bool = False
+) -> tuple[list[Detector], Settings]:
     """Return the detectors of `--detector`, with the changes of `--set`, and the settings of all stages.
 
     Parameters
     ----------
     arguments : Namespace
+    gun : callable, optional
+        Makes the gun of the options; its problems are listed with the others, if there are any.
     one_track : bool
         Whether the command needs one track a particle, so that the fit can assume one mass only.
 
@@ -521,6 +525,8 @@ def load_inputs(arguments: argparse.Namespace, *, one_track: bool = False) -> tu
             )
         elif detector is not None:
             detectors[detector.name] = detector
+    if problems and gun:
+        collect(problems, gun, arguments)
     if problems:
         raise InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
     return list(detectors.values()), settings

@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--{name}: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C"
             )
     check_free(arguments.output, overwrite=arguments.overwrite)
-    detectors, settings = options.load_inputs(arguments, one_track=True)
+    detectors, settings = options.load_inputs(arguments, _guns, one_track=True)
     points, lines = _scans(arguments, detectors, settings)
     scans: list[Scan | AnalyticScan] = [*points, *lines]
     if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
@@ -114,6 +114,18 @@ def _unmeasured(scan: Scan | AnalyticScan) -> str:
         errors = [median_error(one.tracks, "p_rel") for one in scan.samples]
     momenta = ", ".join(f"{p:g}" for p, error in zip(scan.momenta, errors, strict=True) if error > 100)
     return f"{momenta} GeV/c" if momenta else ""
+
+
+def _guns(arguments: argparse.Namespace) -> None:
+    """Raise an error if particle, momenta or angles are wrong."""
+    from cgemit.particles.gun import Gun
+
+    name = "p" if arguments.pt is None else "pt"
+    angles = {angle: getattr(arguments, angle) for angle in ("cos_theta", "theta")}
+    if set(angles.values()) == {None}:
+        angles["cos_theta"] = 0.0
+    for particle in arguments.particle or ["mu-"]:
+        Gun(particle, **{name: getattr(arguments, name)}, **angles)
 
 
 def _scans(

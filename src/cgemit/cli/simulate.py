@@ -184,7 +184,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.chain.run import run as run_chain
     from cgemit.tables.formats import check_format
 
-    (detector,), settings = options.load_inputs(arguments)
+    (detector,), settings = options.load_inputs(arguments, _source)
     gun = _source(arguments)
     fits = _fits(arguments)
     how: dict[str, Any] = {"settings": settings, "until": "fit" if fits else "cluster", "workers": arguments.threads}

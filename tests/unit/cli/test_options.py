@@ -350,6 +350,17 @@ def test_mistakes_are_all_listed(
     assert not (tmp_path / "never").exists()
 
 
+@pytest.mark.parametrize("command", ["simulate -n 1", "resolution", "find -n 1", "display"])
+def test_mistakes_of_detector_settings_and_gun_are_listed_together(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = ["-d", "besiii-cgam", "--set", "fit.los=1", "--p", "0", "--cos-theta", "2"]
+    assert main([*command.split(), *wrong, "-o", "never"]) == 2
+    text = capsys.readouterr().err
+    messages = ["fit.los: got an unknown key", 'got "besiii-cgam"', "p: got 0.0", "cos_theta: got 2.0"]
+    assert [message for message in messages if message not in text] == []
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
