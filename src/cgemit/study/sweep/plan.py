@@ -21,7 +21,7 @@ from cgemit.detector.export import write_files
 from cgemit.detector.files import MAPS, is_field, is_file, is_preset
 from cgemit.study.sweep.evaluate import SWEPT, Evaluated, Evaluation, Seed, identity, result_columns
 from cgemit.study.sweep.result import Sweep
-from cgemit.study.sweep.run import sweep
+from cgemit.study.sweep.run import bases_of, sweep
 from cgemit.study.sweep.space import (
     NAMES_FILES,
     PlanError,
@@ -281,10 +281,13 @@ def read_plan(
     if draw and draw.quantity and known and draw.quantity not in known:
         hint = did_you_mean(draw.quantity, known)
         problems.note("draw.quantity", repr(draw.quantity), f"one of {', '.join(known)}", hint)
+    space = space and replace(space, files=files)
+    if problems and isinstance(tables.get("base"), str):  # else `sweep` finds the others
+        bases_of(problems.collect(load, tables["base"], path="base"), space, problems)
     problems.report(str(path), PlanError)
     assert draw is not None
     assert space is not None
-    arguments = {"base": tables["base"], "space": replace(space, files=files), "evaluate": evaluate}
+    arguments = {"base": tables["base"], "space": space, "evaluate": evaluate}
     return SweepPlan(tables, arguments, draw)
 
 

@@ -24,7 +24,7 @@ from cgemit.detector.export import write_files
 from cgemit.detector.variants import variant_name
 from cgemit.study.sweep.evaluate import Evaluation, budgets
 from cgemit.study.sweep.space import Space, axis_of
-from cgemit.tables.show import Shown, data_frame, write_csv
+from cgemit.tables.show import Shown, data_frame, with_error, write_csv
 
 if TYPE_CHECKING:
     from cgemit.draw.style import Picture
@@ -227,9 +227,15 @@ class Sweep(TidyResult):
         head = ["variant", "status", *self.parameters, *(name for name in _POINT if name in self.columns), *shown]
         count = min(len(self), _SHOWN_ROWS)
         head += ["problems"] if any(self.columns["problems"][:count]) else []
-        rows = [[_cell(self.columns[name][i]) for name in head] for i in range(count)]
+        rows = [[self._cell(name, i) for name in head] for i in range(count)]
         more = f"; {len(self) - count} more rows" if len(self) > count else ""
         return f"{self.bases[0].name}: {len(self.space)} variants, {len(self)} rows{more}", head, rows
+
+    def _cell(self, name: str, row: int) -> str:
+        """Return the value of a column, with its error if there is one."""
+        value, (label, blank, unit) = self.columns[name][row], name.partition(" ")
+        error = self.columns.get(f"{label}_error{blank}{unit}")
+        return _cell(value) if error is None or name not in self.results else with_error(value, error[row])
 
 
 def _cell(value: Any) -> str:

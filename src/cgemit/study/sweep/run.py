@@ -28,7 +28,17 @@ from cgemit.detector.variants import variant_name
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation, Function
 from cgemit.study.sweep.result import Sweep
-from cgemit.study.sweep.space import NAMES_FILES, Changes, PlanError, Space, grid, key_problems, listed, with_files
+from cgemit.study.sweep.space import (
+    NAMES_FILES,
+    Changes,
+    PlanError,
+    Space,
+    grid,
+    key_problems,
+    listed,
+    value_problems,
+    with_files,
+)
 
 FORMAT = "cgemit-sweep-2"
 #: Folder of the chunks in the output of a sweep.
@@ -305,7 +315,7 @@ def sweep(
     Raises
     ------
     PlanError
-        Listing every problem of the arguments, among them keys that name nothing in the base.
+        Listing every problem of the arguments, among them keys that name nothing in the base and values without unit.
     OutputExistsError
         If the folder holds files that are none of a sweep.
 
@@ -325,9 +335,7 @@ def sweep(
         wrong.note("part", repr(part), "(i, n) with i from 0 to n - 1")
     start: Any = wrong.collect(load, base)
     chosen: Any = wrong.collect(_space, space)
-    named = wrong.collect(_with_bases, start, chosen) if start is not None and chosen is not None else None
-    bases = [(start, {}), *named] if named is not None else []
-    wrong += key_problems(bases)
+    bases = bases_of(start, chosen, wrong)
     wrong.report("sweep", PlanError)
     size = evaluation.chunk or CHUNK[evaluation.kind]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
@@ -359,6 +367,14 @@ def _space(space: Any) -> Space:
     if isinstance(space, Space):
         return space
     return grid(space) if isinstance(space, Mapping) else listed(space)
+
+
+def bases_of(base: Detector | None, space: Space | None, problems: Problems) -> list[tuple[Detector, Changes]]:
+    """Return what each variant changes, the base as the first one, and how; note wrong bases, keys and values."""
+    named = problems.collect(_with_bases, base, space) if base is not None and space is not None else None
+    pairs = [(base, {}), *named] if base is not None and named is not None else []
+    problems += key_problems(pairs) + value_problems(pairs)
+    return pairs
 
 
 def _with_bases(base: Detector, space: Space) -> list[tuple[Detector, Changes]]:

@@ -18,6 +18,7 @@ import numpy as np
 from cgemit.base.errors import DetectorError, Problem, Problems, ProblemsError, did_you_mean
 from cgemit.base.validate import check_whole, is_whole
 from cgemit.detector import Detector
+from cgemit.detector.keys import CELLS
 from cgemit.detector.variants import factor_of, values_at
 from cgemit.units import NATIVE, format_quantity, parse_quantity, units_of
 
@@ -360,7 +361,7 @@ def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
     Returns
     -------
     list of Problem
-        A value that is wrong is no problem here: another value of the same key may be possible.
+        Wrong values are no problem here (`value_problems`).
     """
     tried: set[tuple[str, int]] = set()
     found: dict[str, Problem] = {}
@@ -378,6 +379,34 @@ def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
             else:
                 found[key] = _of_key(base, key, own)
     return [one for key, one in found.items() if key not in fine]
+
+
+#: Wrong values of one key that are listed.
+_MOST_LISTED = 5
+
+
+def value_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
+    """Return a problem for each number that its key never allows: without its unit, or beyond the limits of the key.
+
+    Parameters
+    ----------
+    pairs : iterable of (Detector, mapping)
+        Each variant's base and changes. Relative values and numbers that depend on other parts are no problem here.
+    """
+    found: dict[str, Problems] = {}
+    tried: set[tuple[str, int, type, Any]] = set()
+    for base, changes in pairs:
+        for key, value in changes.items():
+            if isinstance(value, bool) or not isinstance(value, str | int | float) or factor_of(value) is not None:
+                continue
+            if (one := (key, id(base), type(value), value)) in tried:
+                continue
+            tried.add(one)
+            problems = found.setdefault(key, Problems())
+            for _, limits in _values(key, base)[:1] if len(problems) < _MOST_LISTED else ():
+                if limits.kind in NATIVE and limits not in CELLS.values():
+                    limits.read(key, value, problems)
+    return [problem for problems in found.values() for problem in dict.fromkeys(problems)]
 
 
 def _unknown(base: Detector, changes: Changes) -> list[Problem]:

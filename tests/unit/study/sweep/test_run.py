@@ -25,7 +25,8 @@ from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
 from cgemit.study.sweep.evaluate import budgets
 from cgemit.study.sweep.run import Task, rows_of_text, work
-from cgemit.study.sweep.space import PlanError, key_problems
+from cgemit.study.sweep.space import PlanError, key_problems, value_problems
+from cgemit.tables.show import with_error
 from kill_sweeps import FILES, SPACE, killed_until_complete, swept, written
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -149,6 +150,37 @@ def test_keys_that_name_nothing_are_refused_at_once(changes: dict[str, Any], exp
     (text,) = str(caught.value).splitlines()[1:]
     assert text.strip().startswith(expected[0])
     assert all(part in text for part in expected)
+
+
+def test_numbers_that_a_key_never_allows_are_refused_at_once() -> None:
+    """Without a unit, of another dimension, negative; each once, five of a key. Overlaps depend on other parts."""
+    space = {
+        "cgem.L2.anode_radius": ["-80 mm", 85, "120", "160 mm", "x0.9"],
+        "cgem.*.pitch_x": ["1 rad", "400 um"],
+        "drift_chamber.efficiency": [0.9, 2],
+        "cgem.L1.gas": ["MdcGas"],
+    }
+    with pytest.raises(PlanError) as caught:
+        sweep(DESIGN, space, channels)
+    assert [(problem.path, problem.given) for problem in caught.value.problems] == [
+        ("cgem.L2.anode_radius", '"-80 mm"'),
+        ("cgem.L2.anode_radius", "85 (no unit)"),
+        ("cgem.L2.anode_radius", '"120" (no unit)'),
+        ("cgem.*.pitch_x", '"1 rad" (an angle)'),
+        ("drift_chamber.efficiency", "2"),
+    ]
+    many = [(DESIGN, {"cgem.L1.pitch_x": number}) for number in range(30)]
+    assert len(value_problems(many)) == 5
+    assert value_problems([(DESIGN, {"cgem.L4.anode_radius": 3})]) == []  # of a new layer
+    assert value_problems([(cg.load("cepc-like"), {"drift_chamber.superlayers.S1.cells": 200})]) == []  # or their width
+
+
+def test_simulated_widths_are_printed_with_their_errors() -> None:
+    found = sweep(DESIGN, {"cgem.L1.foils": [2]}, Evaluation("mc", p=1.0, events=60, quantities=("dr",)))
+    sigma, error = (found[f"sigma_dr{name} (um)"][1] for name in ("", "_error"))
+    head, *rows = (line.split("  ") for line in str(found).splitlines()[1:])
+    assert "sigma_dr (um)" in [cell.strip() for cell in head]
+    assert with_error(sigma, error) in [cell.strip() for cell in rows[1]]
 
 
 def test_wrong_types_are_problems_of_their_arguments() -> None:
