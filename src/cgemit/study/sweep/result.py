@@ -192,7 +192,7 @@ class Sweep(TidyResult):
         return draw_sweep(self.columns, self.parameters, quantity or first, **options)
 
     def draw_budgets(self, quantity: str = "dr", by: By = "part", *, point: int = 0, most: int = 12) -> Picture:
-        """Draw what the variance of each variant is made of (`cgemit.draw.draw_budgets`).
+        """Draw the error budgets of the base and the first variants at one point (`cgemit.draw.draw_budgets`).
 
         Parameters
         ----------
@@ -203,7 +203,8 @@ class Sweep(TidyResult):
         point : int
             Number of the momentum and angle among the points of a variant.
         most : int
-            Variants, in the order of the table; variants that cannot be built are left out.
+            Detectors that are drawn, the base among them, in the order of the table; variants that cannot be built are
+            left out.
 
         Raises
         ------
