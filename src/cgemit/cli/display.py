@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 from cgemit.cli import options
 from cgemit.cli.simulate import add_finder, add_gun, gun_of
@@ -46,7 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_free(arguments.output, overwrite=arguments.overwrite)
     (detector,), settings = options.load_inputs(arguments, gun_of, one_track=True)
-    particles = generate(gun_of(arguments), 1, arguments.seed, arguments.event, detector)
+    gun = gun_of(arguments)
+    particles = generate(gun, 1, arguments.seed, arguments.event, detector)
     result = run.run(
         detector, particles, seed=arguments.seed, settings=settings, finder=arguments.finder or "truth", workers=1
     )
@@ -56,6 +58,6 @@ def run(arguments: argparse.Namespace) -> int:
         if figure is not None:
             save_page(figure, folder / "event.html", overwrite=True)
         write_about(folder, {"detector": detector}, result.entries(arguments.line))
-    options.say(result)
+    options.say(replace(result, gun=gun))
     options.note(arguments, f"event: {arguments.output}/event.{'html' if arguments.html else 'png'}")
     return 0

@@ -80,6 +80,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the tables and write the pictures."""
+    from cgemit.base.files import check_free
     from cgemit.detector import describe
 
     problems: list[str] = []
@@ -89,6 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     detector = options.load_detector(arguments.detector, overrides, arguments.field)
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)
+    check_free(folder, overwrite=arguments.overwrite)
     options.say(json.dumps(numbers, indent=2, ensure_ascii=False) if arguments.json else text(numbers))
     _write(detector, numbers, folder, overwrite=arguments.overwrite, gdml=arguments.gdml, delphes=arguments.delphes)
     if not arguments.json:
@@ -98,7 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def text(numbers: Mapping[str, Any]) -> str:
     """Return the tables of `describe` as text."""
-    lines = [f"{numbers['name']}: {numbers['description']}", f"field {numbers['field']}"]
+    about = [numbers["name"], numbers["description"]]
+    lines = [": ".join(filter(None, about)), f"field {numbers['field']}"]
     lines += ["", "Material at normal incidence, from the beam line outward", *_rows(_MATERIAL, _with_sums(numbers))]
     sub_layers = [
         {**row, "part": part["part"]}

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -116,6 +117,21 @@ def test_show_json_with_changes(
     inner = sum(row["x0_percent"] for part in numbers["material"] for row in part["sub_layers"])
     assert total == pytest.approx(inner)
     assert (tmp_path / "cgemit-show-a-b" / "r-z.pdf").stat().st_size > 10_000
+
+
+def test_a_full_folder_is_refused_before_anything_is_printed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "mine.txt").touch()
+    with pytest.raises(FileExistsError, match="already holds files"):
+        call("show", "besiii-idc", "-o", str(tmp_path))
+    assert capsys.readouterr().out == ""
+
+
+def test_a_name_without_description_stands_alone() -> None:
+    detector = load({"base": "besiii-idc", "name": "mine"})
+    assert text(describe(detector)).splitlines()[0] == f"mine: {detector.description}"
+    assert text(describe(replace(detector, description=""))).splitlines()[0] == "mine"
 
 
 def test_show_reports_problems() -> None:

@@ -359,7 +359,7 @@ def test_samples_run_through_the_chain(tmp_path, capsys) -> None:
     assert "efficiency" in capsys.readouterr().out
     command = ["--sample", "cosmic", "--event", "3", "--quiet", "-o", str(tmp_path / "event")]
     assert main(["display", "-d", "besiii-cgem-design", *command]) == 0
-    assert "sample('cosmic')" not in capsys.readouterr().out  # the particles of one event are given
+    assert "gun       sample('cosmic')" in capsys.readouterr().out
     assert (tmp_path / "event" / "event.png").is_file()
     assert main(["find", "-d", "besiii-cgem-design", "--sample", "nothing", "-n", "3"]) == 2
     assert "jpsi-rhopi" in capsys.readouterr().err
