@@ -16,6 +16,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from cgemit.base.errors import did_you_mean
 from cgemit.base.files import new_file
 from cgemit.base.validate import InTurn
 from cgemit.particles.gun import Gun, Guns, Source
@@ -45,6 +46,9 @@ SERIES = (
 MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 _LINES = (COLORS["cgem"], COLORS["idc"], COLORS["truth"], "#7A3E9D", "#666666", COLORS["multi"])
 _HATCHES = ("", "///", "...", "xxx")
+
+#: Endings of files that hold pictures.
+_FORMATS = ("png", "pdf", "svg", "jpg", "jpeg", "gif", "eps", "ps", "tif", "tiff", "webp", "bmp")
 
 _STYLE = {
     "font.size": 9.5,
@@ -115,10 +119,16 @@ class Picture(Figure):
         ------
         FileExistsError
             If a file exists and `overwrite` is false.
+        ValueError
+            If `path` ends like a format of pictures that is none of png, pdf and svg.
         """
         path = Path(path)
         # Only these count as formats: a name such as "p-1.0" must not lose its end.
         known = path.suffix in (".png", ".pdf", ".svg")
+        if not known and path.suffix[1:].isalpha() and did_you_mean(path.suffix[1:], _FORMATS):
+            raise ValueError(
+                f'save: got "{path.name}", expected a name that ends in .png, .pdf or .svg, or a bare name'
+            )
         targets = [path] if known else [path.with_name(path.name + end) for end in (".png", ".pdf")]
         for target in targets:
             with new_file(target, overwrite=overwrite) as temporary:

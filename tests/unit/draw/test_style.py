@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
 import matplotlib as mpl
@@ -12,6 +13,19 @@ from matplotlib import pyplot as plt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from cgemit.draw.style import new_picture
+
+
+@pytest.mark.parametrize("name", ["x.jpgg", "x.jpg", "x.PNG", "x.pgn", "x.pdff", "x.tiff"])
+def test_unknown_formats_are_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=rf'got "{name}", expected a name that ends in .png, .pdf or .svg'):
+        new_picture()[0].save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["p-1.0", "dr", "v.final", "sigma.mean", "p.pT", "L1.p2"])
+def test_other_endings_are_parts_of_the_name(name: str, tmp_path: Path) -> None:
+    written = new_picture()[0].save(tmp_path / name)
+    assert [path.name for path in written] == [f"{name}.png", f"{name}.pdf"]
 
 
 @pytest.fixture
