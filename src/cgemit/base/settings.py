@@ -160,7 +160,7 @@ def _parsed(text: str, source: str) -> Mapping[str, Any]:
     try:
         return parse_toml(text)
     except (ValueError, RecursionError) as error:
-        raise SettingsError(source, [Problem("", str(error), "a TOML file")]) from error
+        raise SettingsError(source, [Problem("", f"not a TOML file: {error}", "")]) from error
 
 
 def _plain(value: Any, kind: Any) -> Any:

@@ -90,7 +90,7 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
     try:
         tables = parse_toml(read_text(path))
     except ValueError as error:
-        raise DetectorError(str(path), [Problem("", str(error), "a TOML file")]) from error
+        raise DetectorError(str(path), [Problem("", f"not a TOML file: {error}", "")]) from error
     return Source(str(path), path.parent, place_map(tables, path.parent))
 
 

@@ -109,7 +109,7 @@ def read_tables(
     try:
         tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise PlanError(str(path), [Problem("", str(error), "a TOML file")]) from error
+        raise PlanError(str(path), [Problem("", f"not a TOML file: {error}", "")]) from error
     for key, value in changes.items():
         _change(tables, key, value, problems)
     tables = dict(entries(tables, "", known, problems))
