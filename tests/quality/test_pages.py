@@ -23,7 +23,7 @@ from cgemit.detector.readouts import READOUTS
 from cgemit.draw.style import mathematical
 from cgemit.particles.species import species
 from cgemit.tables.show import with_error
-from pages import alignment, background, covariance, deltas, fit, geant4, optimal, settings
+from pages import alignment, background, covariance, deltas, fit, geant4, optimal, paper, settings
 from pages.__main__ import PAGES, main, problems
 from pages.fit import FitResults
 from pages.page import DATA, ROOT, Numbers, Page, put, read_numbers, write_numbers
@@ -56,6 +56,13 @@ def test_files_of_numbers_are_those_of_the_pages_and_read_back_the_same(tmp_path
     for file, kind in files.items():
         write_numbers(tmp_path / "again.csv", read_numbers(file, kind))
         assert (tmp_path / "again.csv").read_bytes() == file.read_bytes()
+
+
+def test_files_have_more_digits_than_pages(tmp_path: Path) -> None:
+    """0.77384982 is 0.7738 on the page: with six digits in the file, 0.77385, it would be 0.7739."""
+    write_numbers(tmp_path / "one.csv", Numbers([paper.Number("x", 0.773849822, 0.0017)], {}))
+    (row,) = read_numbers(tmp_path / "one.csv", paper.Number).rows
+    assert with_error(row.value, row.error) == "0.7738 ± 0.0017"
 
 
 def test_a_number_that_differs_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
