@@ -152,18 +152,20 @@ struct Wires {
   std::array<const WireLayer*, lanes_of<Number>> layers;
   std::array<const Wire*, lanes_of<Number>> wires;
   Number drift, side;
+  Number channel;
   int n = 0;
 
-  // Returns whether there is no room for another one.
-  bool add(const WireLayer& layer, const Hit& hit, double known_side) {
+  bool full() const { return n == lanes_of<Number>; }
+  void add(const WireLayer& layer, const Hit& hit, double known_side) {
     // Free lanes hold the last wire.
     for (int i = n; i < lanes_of<Number>; ++i) {
       layers[static_cast<std::size_t>(i)] = &layer;
       wires[static_cast<std::size_t>(i)] = &layer.placed[static_cast<std::size_t>(hit.channel)];
       set_lane(drift, i, hit.value);
       set_lane(side, i, known_side);
+      set_lane(channel, i, hit.channel);
     }
-    return ++n == lanes_of<Number>;
+    ++n;
   }
 
   mask_of<Number> there() const {
@@ -252,7 +254,8 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
     const Hit& hit = hits[i];
     const auto index = static_cast<std::size_t>(hit.layer);
     if (hit.view == View::wire && detector.wires[index].twist != 0) {
-      if (wires.add(detector.wires[index], hit, sides[i])) finish();
+      wires.add(detector.wires[index], hit, sides[i]);
+      if (wires.full()) finish();
     } else if (hit.view == View::v && from == SeedFrom::wires_and_clusters) {
       const MeasuringLayer& layer = detector.layers[index];
       const auto crossing = crossing_of(circle, layer.r_mid());
@@ -263,39 +266,62 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
   return line.result();
 }
 
+// All wires of a track. Those beyond the capacity are ignored: they would not improve a first helix.
+struct AllWires {
+  std::array<Wires, 128 / lanes_of<Number>> packs;
+  std::size_t n = 0;
+
+  AllWires(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides) {
+    for (std::size_t i = 0; i < hits.size(); ++i) {
+      if (hits[i].view != View::wire) continue;
+      if (n == 0 || packs[n - 1].full()) {
+        if (n == packs.size()) return;
+        packs[n++].n = 0;
+      }
+      packs[n - 1].add(detector.wires[static_cast<std::size_t>(hits[i].layer)], hits[i], sides[i]);
+    }
+  }
+  std::span<const Wires> filled() const { return std::span(packs).first(n); }
+};
+
 // Track from the beam line with azimuth psi0 + w r/2 and z = z0 + tanl r, through wires with azimuth phi +
 // slope z: linear in (psi0, w/2, z0, tanl), with d = 0. For chambers with few axial layers. Where the track
 // bends much, azimuth and arc are corrected with the result: arcsin(w r/2) in place of w r/2.
-std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Hit> hits) {
+std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Wires> wires) {
   constexpr double error = 0.02;               // rad, half a cell
   constexpr double little = 0.2, most = 0.95;  // of w r/2
   // Weak constraints: curvature 1/300 mm, z0 300 mm, tanl 3.
   const auto weak = [](double sigma) { return error * error / (sigma * sigma); };
+  int points = 0;
+  for (const Wires& some : wires) points += some.n;
+  if (points < 5) return std::nullopt;
+  const auto azimuth = [](const Wires& some) {
+    return some.each(&WireLayer::phi_east) - 0.5 * some.each(&WireLayer::twist) +
+           some.channel / some.each(&WireLayer::per_radian);
+  };
+  const double first = lane(azimuth(wires[0]), 0);
   Five<double> found = Five<double>::zero();
-  double first = 0, largest = 0;
   for (int pass = 0; pass < 2; ++pass) {
-    Symmetric<double> normal = Symmetric<double>::diagonal({{1, 0, weak(1.0 / 300), weak(300.0), weak(3.0)}});
-    Five<double> right = Five<double>::zero();
-    int points = 0;
-    for (const Hit& hit : hits) {
-      if (hit.view != View::wire) continue;
-      const WireLayer& layer = detector.wires[static_cast<std::size_t>(hit.layer)];
-      const double phi = layer.phi_east - 0.5 * layer.twist + hit.channel / layer.per_radian,
-                   r = std::sqrt(layer.waist);
-      if (points == 0 && pass == 0) first = phi;
-      const double half = std::clamp(found[2] * r, -most, most),
-                   longer = half == 0 ? 1 : std::asin(half) / half;  // the arc over the chord
-      const double slope = layer.tan_half_twist / layer.half_length;
-      const Five<double> row = {{0, 1, r, -slope, -slope * r * longer}};
-      normal.add([&](auto i, auto j) { return row[i] * row[j]; });
-      right = right + wrap_angle(phi - first - half * (longer - 1)) * row;
-      largest = std::max(largest, r);
-      ++points;
+    Symmetric<Number> normal = Symmetric<Number>::diagonal(Five<Number>::zero());
+    Five<Number> right = Five<Number>::zero();
+    for (const Wires& some : wires) {
+      const Number r = sqrt(some.each(&WireLayer::waist)), slope = some.each(&WireLayer::twist_per_z);
+      const Number half = smaller(larger(found[2] * r, -most), most), inner = sqrt(1.0 - half * half);
+      const Number longer = atan_over(half / inner) / inner;  // the arc over the chord
+      const Number off = azimuth(some) - first - half * (longer - 1.0),
+                   wrapped = off - (2 * pi) * nearest(off * (0.5 / pi));
+      const Number weight = select(some.there(), Number(1.0), Number(0.0));
+      const Five<Number> row = {{0.0, 1.0, r, -slope, -slope * r * longer}};
+      normal.add([&](auto i, auto j) { return weight * row[i] * row[j]; });
+      right = right + weight * wrapped * row;
     }
-    if (points < 5) return std::nullopt;
-    found = solve(normal, right);
+    Symmetric<double> total = Symmetric<double>::diagonal({{1, 0, weak(1.0 / 300), weak(300.0), weak(3.0)}});
+    for (std::size_t i = 0; i < total.v.size(); ++i) total.v[i] += sum(normal.v[i]);
+    Five<double> sums;
+    unroll<parameters>([&](auto i) { sums[i] = sum(right[i]); });
+    found = solve(total, sums);
     if (!std::isfinite(found[1] + found[2] + found[3] + found[4])) return std::nullopt;
-    if (std::abs(found[2]) * largest < little) break;
+    if (std::abs(found[2]) * std::sqrt(wires.back().layers.back()->waist) < little) break;
   }
   const double kappa = 2 * found[2] / curvature(detector.bz, 1.0);
   return Perigee{0, wrap_angle(first + found[1]), kappa, found[3], found[4]};
@@ -326,26 +352,17 @@ StepShape::Point<T> step_point(const Circle& c, double z0, double tanl, const T&
 
 // The helix near a first one that agrees with most of the hits. Empty if it misses many of them.
 std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hits,
-                              std::span<const std::int8_t> sides, const Perigee& from) {
+                              std::span<const Wires> wires, const Perigee& from) {
   constexpr double sharp = 3;  // wire errors
   const Circle circle{curvature(detector.bz, from.kappa), from.d, std::cos(from.psi), std::sin(from.psi)};
   StepFit fit;
-  Wires wires;
-  const auto finish = [&] {
-    const Number per_ez = 1.0 / wires.each(&Wire::ez);
-    fit.add(step_point(circle, from.z0, from.tanl, wires.each(&Wire::x), wires.each(&Wire::y),
-                       wires.each(&Wire::ex) * per_ez, wires.each(&Wire::ey) * per_ez,
-                       DriftCircle<Number>{wires.drift, wires.side, 1 / wire_error, 1.0}),
-            wires.there());
-    wires.n = 0;
-  };
-  // Wires first: they then fill the lanes as they come.
-  for (std::size_t i = 0; i < hits.size(); ++i) {
-    if (hits[i].view == View::wire &&
-        wires.add(detector.wires[static_cast<std::size_t>(hits[i].layer)], hits[i], sides[i]))
-      finish();
+  for (const Wires& some : wires) {  // before the strips: they then fill the lanes as they are
+    const Number per_ez = 1.0 / some.each(&Wire::ez);
+    fit.add(step_point(circle, from.z0, from.tanl, some.each(&Wire::x), some.each(&Wire::y),
+                       some.each(&Wire::ex) * per_ez, some.each(&Wire::ey) * per_ez,
+                       DriftCircle<Number>{some.drift, some.side, 1 / wire_error, 1.0}),
+            some.there());
   }
-  if (wires.n > 0) finish();
   for (std::size_t i = 0; i < hits.size(); ++i) {
     const Hit& hit = hits[i];
     if (hit.view == View::wire) continue;
@@ -380,9 +397,10 @@ std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hi
   };
   const double middle = 0.5 * (radius(hits.front()) + radius(hits.back()));
   if (from == SeedFrom::azimuths) {
-    const auto first = seed_from_azimuths(detector, hits);
+    const AllWires wires(detector, hits, sides);
+    const auto first = seed_from_azimuths(detector, wires.filled());
     if (!first) return std::nullopt;
-    const Seed seed = seed_near(detector, hits, sides, *first).value_or(Seed{*first, HUGE_VAL});
+    const Seed seed = seed_near(detector, hits, wires.filled(), *first).value_or(Seed{*first, HUGE_VAL});
     return Seed{before_loss(detector, seed.helix, middle, mass), seed.spread};
   }
   const auto [circle, scale] = find_circle(detector, hits, sides, from);
