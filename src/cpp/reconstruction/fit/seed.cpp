@@ -151,27 +151,16 @@ CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hit
 struct Wires {
   std::array<const WireLayer*, lanes_of<Number>> layers;
   std::array<const Wire*, lanes_of<Number>> wires;
-  Number drift, side;
-  Number channel;
-  int n = 0;
+  Number drift, side, channel;
+  mask_of<Number> there;  // free lanes hold the last wire
 
-  bool full() const { return n == lanes_of<Number>; }
-  void add(const WireLayer& layer, const Hit& hit, double known_side) {
-    // Free lanes hold the last wire.
-    for (int i = n; i < lanes_of<Number>; ++i) {
-      layers[static_cast<std::size_t>(i)] = &layer;
-      wires[static_cast<std::size_t>(i)] = &layer.placed[static_cast<std::size_t>(hit.channel)];
-      set_lane(drift, i, hit.value);
-      set_lane(side, i, known_side);
-      set_lane(channel, i, hit.channel);
-    }
-    ++n;
-  }
-
-  mask_of<Number> there() const {
-    mask_of<Number> some(false);
-    for (int i = 0; i < n; ++i) set_lane(some, i, true);
-    return some;
+  void set(int i, const WireLayer& layer, const Hit& hit, double known_side, bool is_there) {
+    layers[static_cast<std::size_t>(i)] = &layer;
+    wires[static_cast<std::size_t>(i)] = &layer.placed[static_cast<std::size_t>(hit.channel)];
+    set_lane(drift, i, hit.value);
+    set_lane(side, i, known_side);
+    set_lane(channel, i, hit.channel);
+    set_lane(there, i, is_there);
   }
   Number each(double WireLayer::* member) const {
     return gathered<Number>([&](int i) { return layers[static_cast<std::size_t>(i)]->*member; });
@@ -179,6 +168,36 @@ struct Wires {
   Number each(double Wire::* member) const {
     return gathered<Number>([&](int i) { return wires[static_cast<std::size_t>(i)]->*member; });
   }
+};
+
+// The wires of a track, or its stereo wires. Those beyond the capacity are ignored: they would not improve a
+// first helix.
+class WiresOfTrack {
+ public:
+  WiresOfTrack(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides,
+               bool stereo) {
+    const auto put = [&](std::size_t at, const WireLayer& layer, std::size_t i, bool there) {
+      packs_[at / width].set(static_cast<int>(at % width), layer, hits[i], sides[i], there);
+    };
+    const WireLayer* layer = nullptr;
+    std::size_t last = 0;
+    for (std::size_t i = 0; i < hits.size() && n_ < width * packs_.size(); ++i) {
+      if (hits[i].view != View::wire) continue;
+      const WireLayer& its = detector.wires[static_cast<std::size_t>(hits[i].layer)];
+      if (stereo && its.twist == 0) continue;
+      put(n_++, its, i, true);
+      layer = &its;
+      last = i;
+    }
+    for (std::size_t at = n_; at % width != 0; ++at) put(at, *layer, last, false);
+  }
+  std::size_t size() const { return n_; }
+  std::span<const Wires> packs() const { return std::span(packs_).first((n_ + width - 1) / width); }
+
+ private:
+  static constexpr std::size_t width = lanes_of<Number>;
+  std::array<Wires, 128 / width> packs_;
+  std::size_t n_ = 0;
 };
 
 // Adds the wires that a circle reaches. At height z a wire lies to the left of it by a quadratic in z.
@@ -189,7 +208,7 @@ void add_wires(const Wires& wires, const Circle& circle, double error, LineFit& 
                gx = wires.each(&Wire::ex) * per_ez, gy = wires.each(&Wire::ey) * per_ez;
   Number s;
   const mask_of<Number> reached =
-      step_to_cylinder(point, radius, s, true, wires.there() & (radius > std::abs(circle.d)));
+      step_to_cylinder(point, radius, s, true, wires.there & (radius > std::abs(circle.d)));
   const auto [nx, ny] = circle.gradient(x, y);
   const Number tilt = gx * gx + gy * gy;
   line.add({s,
@@ -245,72 +264,42 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
                           std::span<const std::int8_t> sides, SeedFrom from, const Circle& circle,
                           double scale) {
   LineFit line;
-  Wires wires;
-  const auto finish = [&] {
-    add_wires(wires, circle, wire_error * scale, line);
-    wires.n = 0;
-  };
+  const WiresOfTrack stereo(detector, hits, sides, true);
+  for (const Wires& wires : stereo.packs()) add_wires(wires, circle, wire_error * scale, line);
   for (std::size_t i = 0; i < hits.size(); ++i) {
-    const Hit& hit = hits[i];
-    const auto index = static_cast<std::size_t>(hit.layer);
-    if (hit.view == View::wire && detector.wires[index].twist != 0) {
-      wires.add(detector.wires[index], hit, sides[i]);
-      if (wires.full()) finish();
-    } else if (hit.view == View::v && from == SeedFrom::wires_and_clusters) {
-      const MeasuringLayer& layer = detector.layers[index];
-      const auto crossing = crossing_of(circle, layer.r_mid());
-      if (crossing) line.add(strip_point(layer, hit, hits.first(i), crossing->point, crossing->s, scale));
-    }
+    if (hits[i].view != View::v || from != SeedFrom::wires_and_clusters) continue;
+    const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(hits[i].layer)];
+    const auto crossing = crossing_of(circle, layer.r_mid());
+    if (crossing) line.add(strip_point(layer, hits[i], hits.first(i), crossing->point, crossing->s, scale));
   }
-  if (wires.n > 0) finish();
   return line.result();
 }
-
-// All wires of a track. Those beyond the capacity are ignored: they would not improve a first helix.
-struct AllWires {
-  std::array<Wires, 128 / lanes_of<Number>> packs;
-  std::size_t n = 0;
-
-  AllWires(const Detector& detector, std::span<const Hit> hits, std::span<const std::int8_t> sides) {
-    for (std::size_t i = 0; i < hits.size(); ++i) {
-      if (hits[i].view != View::wire) continue;
-      if (n == 0 || packs[n - 1].full()) {
-        if (n == packs.size()) return;
-        packs[n++].n = 0;
-      }
-      packs[n - 1].add(detector.wires[static_cast<std::size_t>(hits[i].layer)], hits[i], sides[i]);
-    }
-  }
-  std::span<const Wires> filled() const { return std::span(packs).first(n); }
-};
 
 // Track from the beam line with azimuth psi0 + w r/2 and z = z0 + tanl r, through wires with azimuth phi +
 // slope z: linear in (psi0, w/2, z0, tanl), with d = 0. For chambers with few axial layers. Where the track
 // bends much, azimuth and arc are corrected with the result: arcsin(w r/2) in place of w r/2.
-std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<const Wires> wires) {
+std::optional<Perigee> seed_from_azimuths(const Detector& detector, const WiresOfTrack& wires) {
   constexpr double error = 0.02;               // rad, half a cell
   constexpr double little = 0.2, most = 0.95;  // of w r/2
   // Weak constraints: curvature 1/300 mm, z0 300 mm, tanl 3.
   const auto weak = [](double sigma) { return error * error / (sigma * sigma); };
-  int points = 0;
-  for (const Wires& some : wires) points += some.n;
-  if (points < 5) return std::nullopt;
+  if (wires.size() < 5) return std::nullopt;
   const auto azimuth = [](const Wires& some) {
     return some.each(&WireLayer::phi_east) - 0.5 * some.each(&WireLayer::twist) +
            some.channel / some.each(&WireLayer::per_radian);
   };
-  const double first = lane(azimuth(wires[0]), 0);
+  const double first = lane(azimuth(wires.packs().front()), 0);
   Five<double> found = Five<double>::zero();
   for (int pass = 0; pass < 2; ++pass) {
     Symmetric<Number> normal = Symmetric<Number>::diagonal(Five<Number>::zero());
     Five<Number> right = Five<Number>::zero();
-    for (const Wires& some : wires) {
+    for (const Wires& some : wires.packs()) {
       const Number r = sqrt(some.each(&WireLayer::waist)), slope = some.each(&WireLayer::twist_per_z);
       const Number half = smaller(larger(found[2] * r, -most), most), inner = sqrt(1.0 - half * half);
       const Number longer = atan_over(half / inner) / inner;  // the arc over the chord
       const Number off = azimuth(some) - first - half * (longer - 1.0),
                    wrapped = off - (2 * pi) * nearest(off * (0.5 / pi));
-      const Number weight = select(some.there(), Number(1.0), Number(0.0));
+      const Number weight = select(some.there, Number(1.0), Number(0.0));
       const Five<Number> row = {{0.0, 1.0, r, -slope, -slope * r * longer}};
       normal.add([&](auto i, auto j) { return weight * row[i] * row[j]; });
       right = right + weight * wrapped * row;
@@ -321,7 +310,7 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, std::span<co
     unroll<parameters>([&](auto i) { sums[i] = sum(right[i]); });
     found = solve(total, sums);
     if (!std::isfinite(found[1] + found[2] + found[3] + found[4])) return std::nullopt;
-    if (std::abs(found[2]) * std::sqrt(wires.back().layers.back()->waist) < little) break;
+    if (std::abs(found[2]) * std::sqrt(wires.packs().back().layers.back()->waist) < little) break;
   }
   const double kappa = 2 * found[2] / curvature(detector.bz, 1.0);
   return Perigee{0, wrap_angle(first + found[1]), kappa, found[3], found[4]};
@@ -351,17 +340,17 @@ StepShape::Point<T> step_point(const Circle& c, double z0, double tanl, const T&
 }
 
 // The helix near a first one that agrees with most of the hits. Empty if it misses many of them.
-std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hits,
-                              std::span<const Wires> wires, const Perigee& from) {
+std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hits, const WiresOfTrack& wires,
+                              const Perigee& from) {
   constexpr double sharp = 3;  // wire errors
   const Circle circle{curvature(detector.bz, from.kappa), from.d, std::cos(from.psi), std::sin(from.psi)};
   StepFit fit;
-  for (const Wires& some : wires) {  // before the strips: they then fill the lanes as they are
+  for (const Wires& some : wires.packs()) {  // before the strips: they then fill the lanes as they are
     const Number per_ez = 1.0 / some.each(&Wire::ez);
     fit.add(step_point(circle, from.z0, from.tanl, some.each(&Wire::x), some.each(&Wire::y),
                        some.each(&Wire::ex) * per_ez, some.each(&Wire::ey) * per_ez,
                        DriftCircle<Number>{some.drift, some.side, 1 / wire_error, 1.0}),
-            some.there());
+            some.there);
   }
   for (std::size_t i = 0; i < hits.size(); ++i) {
     const Hit& hit = hits[i];
@@ -397,10 +386,10 @@ std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hi
   };
   const double middle = 0.5 * (radius(hits.front()) + radius(hits.back()));
   if (from == SeedFrom::azimuths) {
-    const AllWires wires(detector, hits, sides);
-    const auto first = seed_from_azimuths(detector, wires.filled());
+    const WiresOfTrack wires(detector, hits, sides, false);
+    const auto first = seed_from_azimuths(detector, wires);
     if (!first) return std::nullopt;
-    const Seed seed = seed_near(detector, hits, wires.filled(), *first).value_or(Seed{*first, HUGE_VAL});
+    const Seed seed = seed_near(detector, hits, wires, *first).value_or(Seed{*first, HUGE_VAL});
     return Seed{before_loss(detector, seed.helix, middle, mass), seed.spread};
   }
   const auto [circle, scale] = find_circle(detector, hits, sides, from);
