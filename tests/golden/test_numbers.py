@@ -23,7 +23,7 @@ from cgemit.base.version import PHYSICS
 
 FOLDER = Path(__file__).parent / "numbers"
 #: Hash of the files for the present physics version, and for those that were released.
-VERSIONS = {25: "c9ca8ab0223a45f5"}
+VERSIONS = {26: "cceb521ff224eb09"}
 DESIGN = "besiii-cgem-design"
 MUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
 DIMUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
@@ -89,7 +89,7 @@ def optimize() -> dict[str, Any]:
 CASES: dict[str, Callable[[], dict[str, Any]]] = {
     **{
         name: lambda name=name: run(name, n=100)
-        for name in ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss")
+        for name in ("besiii-cgem-design", "besiii-cgem", "besiii-idc", "besiii-idc-boss", "kloe2-like")
     },
     "gaussian": lambda: run(readout="gaussian"),
     "tiger": lambda: run(readout="tiger"),
