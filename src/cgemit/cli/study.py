@@ -15,7 +15,7 @@ PNG and PDF, and a CSV table behind each of them."""
 
 EXAMPLES = """\
 examples:
-  cgemit study                            20 000 events a detector, 5 000 a momentum; 12 s on two cores
+  cgemit study                            20 000 events a detector, 5 000 a momentum; about 10 s on two cores
   cgemit study --quick -o look            fewer events, some seconds
   cgemit study --events 100000 --seed 7 -o precise
   cgemit study --quick --json -o look     summary.json on stdout too

@@ -125,7 +125,7 @@ def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
     strips = (view == HIT_X) | (view == HIT_V)
     given = set(zip(candidate[strips].tolist(), row[strips].tolist(), strict=True))
     return [
-        f"candidates row {candidate[i]}: got clusters row {row[i]}, an XV cluster, and row {part}, of which it is made; "
+        f"candidates row {candidate[i]}: got clusters row {row[i]}, an XV cluster, and row {part}, a part of it; "
         "expected one of both"
         for i in points
         for name in ("x_cluster", "v_cluster")
