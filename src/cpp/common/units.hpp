@@ -1,3 +1,5 @@
+// Units, constants and squares.
+//
 // Native units of the core: mm, ns, GeV, GeV/c, T, rad, elementary charge; strip charge in fC.
 // Energy deposits in tables are keV. Numbers of another unit enter as `5 * um`.
 #pragma once
@@ -9,6 +11,8 @@ inline constexpr double um = 1e-3;
 inline constexpr double GeV = 1.0;
 inline constexpr double MeV = 1e-3;
 inline constexpr double keV = 1e-6;
+
+constexpr double square(double x) { return x * x; }
 
 inline constexpr double pi = 3.14159265358979323846;
 

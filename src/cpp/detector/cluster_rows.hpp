@@ -13,6 +13,8 @@
 namespace cgemit {
 
 enum class ClusterView : std::int8_t { x = 0, v = 1, xv = 2 };
+// Views of a candidate's hits, beside X and V.
+inline constexpr std::int8_t wire_view = 2, point_view = 3;
 // The source of the position: strips, whose error depends on their number and the incidence of the track, or
 // the readout itself, with a fixed error.
 enum class ClusterMethod : std::int8_t { strips = 0, positions = 1 };

@@ -10,14 +10,14 @@ namespace {
 constexpr double row = 0.86602540378443864676;  // distance of rows over the pitch, sqrt(3)/2
 constexpr double most_pieces = 200;
 
-double nearest(double x) { return static_cast<int>(x + std::copysign(0.5, x)); }
+double rounded(double x) { return static_cast<int>(x + std::copysign(0.5, x)); }
 
 // Makes a point relative to the nearest hole; holes are at (i + j/2, j sqrt(3)/2) pitches. Rounding i, j and
 // -i-j and then correcting the one with the largest error gives the hexagon that contains the point.
 void from_nearest_hole(double pitch, double& u, double& v) {
   const double j = v / (row * pitch), i = u / pitch - 0.5 * j, k = -i - j;
-  double ni = nearest(i), nj = nearest(j);
-  const double nk = nearest(k);
+  double ni = rounded(i), nj = rounded(j);
+  const double nk = rounded(k);
   const double di = std::abs(ni - i), dj = std::abs(nj - j), dk = std::abs(nk - k);
   if (di > dj && di > dk) {
     ni = -nj - nk;

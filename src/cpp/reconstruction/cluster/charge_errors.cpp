@@ -5,11 +5,10 @@
 
 #include "common/angles.hpp"
 #include "common/rng.hpp"
+#include "common/units.hpp"
 
 namespace cgemit {
 namespace {
-
-double square(double x) { return x * x; }
 
 // Where x lies among growing knots: the number of the one below, and the share of the way to the next.
 struct Place {

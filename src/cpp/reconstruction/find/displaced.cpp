@@ -20,7 +20,7 @@ constexpr double off_segment = 0.6;     // mm, of a hit between the ends of a se
 constexpr double drift_error = 0.3;     // mm
 constexpr double any_distance = 1000;   // mm, distance from the beam line that the fit of a circle expects
 constexpr int more_layers = 1;          // than a circle from the beam line needs
-constexpr double least_squares = 200;   // mm^2, lever of a hit that measures the curvature
+constexpr double least_lever = 200;     // mm^2, lever of a hit that measures the curvature
 
 std::int64_t number_of(const WireLayer& layer, double cell) {
   return static_cast<std::int64_t>(cell - layer.cells * std::floor(cell / layer.cells));
@@ -162,7 +162,7 @@ void DisplacedSearch::count(const Segment& segment) {
     const double x = p.x - segment.x, y = p.y - segment.y;
     const double along = x * segment.ux + y * segment.uy, left = y * segment.ux - x * segment.uy;
     const double squares = x * x + y * y - p.drift * p.drift - quarter;
-    if (squares < least_squares) continue;
+    if (squares < least_lever) continue;
     if (p.layer != layer) {  // points of a layer follow each other
       counts_.add(in_layer);
       layer = p.layer;

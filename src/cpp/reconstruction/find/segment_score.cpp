@@ -30,8 +30,6 @@ double log_residual(double off, double variance) {
                  far + log_gaussian(off * off / (wide * variance), wide * variance));
 }
 
-double square(double x) { return x * x; }
-
 }  // namespace
 
 SegmentScore::SegmentScore(const Detector& detector, const FindSettings& settings)

@@ -5,11 +5,11 @@
 #include <cmath>
 #include <tuple>
 
+#include "detector/cluster_rows.hpp"
+
 namespace cgemit {
 
 namespace {
-
-constexpr std::int8_t wire_view = 2, point_view = 3;
 
 struct Entry {
   std::uint8_t kind;

@@ -15,7 +15,7 @@ namespace {
 //   cell:  time of noise, whether it fires as a hot one, time as a hot one, whether it is read out
 //   strip: charge, time, whether it fires as a hot one, whether it is read out
 // Whether a channel is read out is drawn in cgemit.simulation.background.
-constexpr int most_clusters = 1000;  // of a layer
+constexpr int most_in_layer = 1000;  // of a layer
 
 Stream stream_of(std::uint64_t seed, std::int64_t event) {
   return {seed, static_cast<std::uint64_t>(event), 0};
@@ -84,8 +84,8 @@ void add_clusters(const Detector& detector, std::size_t index, const Stream& str
                   std::vector<std::int32_t>& fired) {
   const MeasuringLayer& layer = detector.layers[index];
   Draws draws(stream, Purpose::background_clusters, static_cast<std::uint32_t>(index));
-  const double mean = std::min(noise.clusters[index], 2.0 * most_clusters);
-  for (int n = std::min(poisson(draws.next(), mean), most_clusters); n > 0; --n) {
+  const double mean = std::min(noise.clusters[index], 2.0 * most_in_layer);
+  for (int n = std::min(poisson(draws.next(), mean), most_in_layer); n > 0; --n) {
     const double around = draws.next() * layer.sheets;
     const int sheet = static_cast<int>(around);
     const double x = (around - sheet) * layer.sheet_width(), z = (2 * draws.next() - 1) * layer.half_length;

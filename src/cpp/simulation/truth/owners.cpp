@@ -5,10 +5,11 @@
 #include <stdexcept>
 #include <string>
 
+#include "detector/cluster_rows.hpp"
+
 namespace cgemit {
 namespace {
 
-constexpr std::int8_t wire_view = 2, point_view = 3;  // of hits of candidates
 constexpr std::int8_t xv_cluster = 2;
 
 // The particle behind a crossing; `late`: a daughter left it; `other`: so did it, or another half turn than
