@@ -274,6 +274,7 @@ def test_options_of_resolution(row: Row, usual_scan: Scan, monkeypatch: pytest.M
 STUDY_ROWS = [
     Row("--events", ["--events", "500"], {"events": 500}),
     Row("--quick", ["--quick"], {"quick": True}),
+    Row("--pdf", ["--pdf"], {"pdf": True}),
     Row("--seed", ["--seed", "7"], {"seed": 7}),
     Row("--finder", ["--finder", "ckf"], {"finder": "ckf"}),
     Row("--threads", ["--threads", "1"], {"threads": 1}),

@@ -37,15 +37,15 @@ _TAIL_REACH = 8000.0  # um
 _PARTS = {"single strip": (COLORS["single"], "one strip"), "several strips": (COLORS["multi"], "several strips")}
 
 
-def write_figures(study: Reproduction, folder: Path, progress: ShowProgress | None = None) -> None:
-    """Write all figures as PNG and PDF, and the tables behind them and all momentum scans as CSV."""
+def write_figures(study: Reproduction, folder: Path, pdf: bool = False, progress: ShowProgress | None = None) -> None:
+    """Write all figures as PNG, with `pdf` as PDF too, and the tables behind them and all momentum scans as CSV."""
     if progress:
         progress(0.0, "drawing figures")
     pool = _pool(study)
     try:
         # The event, with most to draw, first: no process then waits for it in the end.
         keys = sorted(FIGURES, key=lambda key: key != "event")
-        figures = [pool.submit(_write_figure, key, folder / FIGURES[key].name) for key in keys]
+        figures = [pool.submit(_write_figure, key, folder / FIGURES[key].name, pdf) for key in keys]
         for number, done in enumerate(as_completed(figures), 1):
             done.result()
             if progress:
@@ -79,8 +79,8 @@ def _receive_alone(study: Reproduction) -> None:
     _receive(study)
 
 
-def _write_figure(key: str, path: Path) -> None:
-    _received[key](path).save(path)
+def _write_figure(key: str, path: Path, pdf: bool) -> None:
+    _received[key](path).save(path if pdf else path.with_name(f"{path.name}.png"))
 
 
 def _makers(study: Reproduction) -> dict[str, Callable[[Path], Picture]]:

@@ -97,9 +97,9 @@ def _image(folder: Path, figure: PaperFigure) -> Image:
 
 
 def _files(folder: Path, figure: PaperFigure) -> list[str]:
-    """Return the names of the PDF of a figure and of the tables behind it."""
+    """Return the names of the PDF of a figure, if there is one, and of the tables behind it."""
     tables = [path.name for pattern in figure.tables for path in sorted(folder.glob(pattern))]
-    return [f"{figure.name}.pdf", *tables]
+    return [path.name for path in folder.glob(f"{figure.name}.pdf")] + tables
 
 
 def _comparison(study: Reproduction) -> TableOf:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 from cgemit.analysis.quantities import MAIN
@@ -42,6 +44,7 @@ def reproduce(
     seed: int = 1,
     threads: int | None = None,
     quick: bool = False,
+    pdf: bool = False,
     settings: Settings | None = None,
     field: str | os.PathLike[str] | None = None,
     finder: FinderLike = "truth",
@@ -63,6 +66,8 @@ def reproduce(
         Default: all cores. The numbers do not depend on it.
     quick : bool
         Fewer events.
+    pdf : bool
+        Whether to write the figures as PDF too.
     settings : Settings, optional
         Of all stages, to try another model of matter or another readout.
     field : str or path, optional
@@ -101,8 +106,11 @@ def reproduce(
         events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field),
         finder,
     )  # fmt: skip
+    if output is not None:
+        # Loading what draws takes half a second: beside the runs, between which a core is idle.
+        threading.Thread(target=import_module, args=("cgemit.study.paper.figures",), daemon=True).start()
     study = _measure(inputs, progress)
-    return study if output is None else _write(study, Path(output), overwrite, command, progress)
+    return study if output is None else _write(study, Path(output), pdf, overwrite, command, progress)
 
 
 def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
@@ -159,7 +167,7 @@ def _stage_seconds(samples: Sequence[Sample]) -> dict[str, float]:
 
 
 def _write(
-    study: Reproduction, output: Path, overwrite: bool, command: str, progress: ShowProgress | None
+    study: Reproduction, output: Path, pdf: bool, overwrite: bool, command: str, progress: ShowProgress | None
 ) -> Reproduction:
     """Write all files, and return the study with its folder and the time that writing took."""
     # matplotlib is loaded only where pictures are drawn; the import takes as long as a thousand events.
@@ -168,7 +176,7 @@ def _write(
 
     start = time.perf_counter()
     with new_folder(output, overwrite=overwrite) as folder:
-        write_figures(study, folder, _share(progress, 0.85, 1.0))
+        write_figures(study, folder, pdf, _share(progress, 0.85, 1.0))
         seconds = time.perf_counter() - start
         timings = {**study.timings, "figures_s": seconds, "total_s": study.timings["run_s"] + seconds}
         study = replace(study, timings=timings, folder=output)

@@ -55,7 +55,11 @@ def study(tmp_path_factory):
     """Return a small reproduction with its files."""
     shown = []
     result = reproduce(
-        tmp_path_factory.mktemp("study") / "out", events=400, seed=3, progress=lambda part, label: shown.append(part)
+        tmp_path_factory.mktemp("study") / "out",
+        events=400,
+        seed=3,
+        pdf=True,
+        progress=lambda part, label: shown.append(part),
     )
     assert shown[0] >= 0
     assert shown == sorted(shown)
@@ -75,6 +79,14 @@ def test_all_figures_are_written_as_png_and_pdf(study):
         assert (study.folder / f"{name}.png").read_bytes().startswith(b"\x89PNG"), name
         assert (study.folder / f"{name}.pdf").read_bytes().startswith(b"%PDF"), name
     assert [path.name for path in study.folder.iterdir() if path.name.startswith(".")] == [".cgemit"]
+
+
+@pytest.mark.slow
+def test_a_study_has_pdf_files_only_if_asked(study, tmp_path):
+    plain = reproduce(tmp_path / "out", events=400, seed=3)
+    names = {path.name for path in plain.folder.iterdir()}
+    assert names == {path.name for path in study.folder.iterdir() if path.suffix != ".pdf"}
+    assert ".pdf" not in (plain.folder / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
