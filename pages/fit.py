@@ -668,7 +668,10 @@ def _draw_losses(left: Axes, right: Axes, results: FitResults) -> None:
             plot.errorbar([row.p for row in rows], y, error, fmt="o-", ms=4, lw=1, color=colour, label=loss)
         plot.axhline(1 if quantity == "width" else 0, color=COLORS["data"], lw=0.8)
         plot.set(
-            xscale="log", xlabel="p  (GeV/c)", ylabel=f"core {quantity} of the pull of kappa", title="loss subtracted"
+            xscale="log",
+            xlabel="p  (GeV/c)",
+            ylabel=f"core {quantity} of the pull of {mathematical(SYMBOLS['kappa'].symbol)}",
+            title="loss subtracted",
         )
         draw_grid(plot)
     right.legend()
@@ -692,7 +695,7 @@ def _draw_widths(plot: Axes, results: FitResults) -> None:
     for name, colour in (("dr", COLORS["x"]), ("dz", COLORS["single"]), ("p", COLORS["fit"])):
         rows = [row for row in results.widths if row.quantity == name]
         plot.errorbar(range(len(rows)), [row.ratio for row in rows], [row.ratio_error for row in rows], fmt="o", ms=2.5,
-                      lw=0.7, color=colour, label=name)  # fmt: skip
+                      lw=0.7, color=colour, label=mathematical(SYMBOLS[name].symbol))  # fmt: skip
     plot.axhspan(0.97, 1.03, color=COLORS["matter"], lw=0, zorder=0)
     plot.axhline(1, color=COLORS["data"], lw=0.8)
     plot.set(xlabel="point of the grid", ylabel="core width over optimum", title="against the optimal estimate")
