@@ -158,9 +158,9 @@ class Descent:
 
     With `fixed_hits`, resolutions are those of the same tracks with the same hits in every design (`varied`), so that
     they are smooth functions of the design and have gradients; without, every design has its own hits. Strip counts
-    are real numbers in limits, never smaller than the whole ones. A step onto an impossible design, or onto one whose
-    slabs and wires are in another order so that it cannot have the same hits, is cut until the design is possible, and
-    costs what was cut.
+    are real numbers in limits, never smaller than the whole ones. A step onto an impossible design is cut until the
+    design is possible, and costs what was cut. So is a step onto a design that cannot have the same hits, since its
+    slabs and wires are in another order; these designs are kept for `beyond`.
 
     Attributes
     ----------
@@ -186,6 +186,7 @@ class Descent:
     _found: dict[tuple[float, ...], _Point] = field(default_factory=dict)
     _slopes: dict[tuple[float, ...], dict[str, Floats]] = field(default_factory=dict)
     _good: Floats | None = None
+    _refused: list[Floats] = field(default_factory=list)
     _lines: tuple[Floats, Floats] = (np.empty((0, 0)), np.empty(0))
 
     def start(self, u: Floats) -> None:
@@ -219,10 +220,35 @@ class Descent:
         row = self._row(u)
         if row["status"] != "ok":
             raise NoStartError("start", [Problem("", one, "") for one in row["problems"]])
-        self._found, self._slopes, self._good = {}, {}, np.array(u)
+        self._found, self._slopes, self._good, self._refused = {}, {}, np.array(u), []
         if self.fixed_hits and self.evaluator.goals.quantities:
             self._anchors = covariances(self.detector(u), self.evaluator.goals.evaluation)
         return row
+
+    def beyond(self, row: dict[str, Any], refused: Sequence[Floats]) -> Floats | None:
+        """Return the best of the designs that could not have the same hits, with their own; None if `row` is better.
+
+        Parameters
+        ----------
+        row : dict
+            Of the design where the search with these hits ended.
+        refused : sequence of ndarray
+        """
+        rows = [(u, self._row(u)) for u in refused]
+        best = min(rows, key=lambda one: self._merit(one[1]), default=None)
+        return best[0] if best and self._merit(best[1]) < self._merit(row) else None
+
+    def refused(self, u: Floats) -> list[Floats]:
+        """Return some designs, near and far from u, that could not have its hits."""
+        far = sorted(self._refused, key=lambda one: float(np.linalg.norm(one - u)))
+        return far[:: -max(1, len(far) // _MOST_REFUSED)]
+
+    def _merit(self, row: dict[str, Any]) -> tuple[float, float]:
+        """Return by how much a design misses its limits, and its objective."""
+        if row["status"] != "ok":
+            return math.inf, math.inf
+        missed = max((one for one in self.evaluator.violations(row).values() if one > TOLERANCE), default=0.0)
+        return missed, float(row["values"][self.objective.header])
 
     def numbers(self, u: Floats) -> list[float]:
         """Return the values of the variables."""
@@ -297,8 +323,11 @@ class Descent:
         try:
             detector = self.detector(u)
             found = [varied(one, [detector])[0] for one in self._anchors]
-        except (DetectorError, SurfacesError) as error:
-            problems = [str(one) for one in getattr(error, "problems", [error])]
+        except SurfacesError:
+            self._refused.append(u)
+            return None
+        except DetectorError as error:
+            problems = [str(one) for one in error.problems]
             self._keep("step", self.numbers(u), {"status": "impossible", "problems": problems})
             return None
         goals = self.evaluator.goals
@@ -385,6 +414,8 @@ class _Point:
 
 #: Most times that hits are renewed, and the step, in units of the ranges, below which they need not be.
 _ROUNDS, _MOVED = 6, 2e-3
+#: Most times that a search goes on where slabs and wires are in another order, and designs that are tried for it.
+_MOST_CROSSINGS, _MOST_REFUSED = 30, 12
 
 
 @dataclass(frozen=True)
@@ -504,14 +535,14 @@ def _descended(
 
 
 def no_allowed(evaluator: Evaluator, designs: Sequence[Design]) -> str:
-    """Return that no design keeps all limits: which ones the nearest design misses, and by how much."""
-    rows = [one.row for one in designs if one.row["status"] == "ok" and "values" in one.row]
+    """Return that no design with its own hits keeps all limits, and by how much the nearest one misses which."""
+    rows = [one.row for one in designs if one.kind != "step" and one.row["status"] == "ok" and "values" in one.row]
     if not rows:
         return "no design could be evaluated"
     nearest = min(rows, key=lambda row: max(evaluator.violations(row).values(), default=0.0))
     values = {one: nearest["values"][one.goal.header] for one in evaluator.limits}
     missed = [one.missed(value) for one, value in values.items() if one.violation(value) > TOLERANCE]
-    return f"no design keeps all limits; the nearest one has {', '.join(missed)}"
+    return f"no design that was tried keeps all limits; the nearest one has {', '.join(missed)}"
 
 
 def with_failures(message: str, designs: Sequence[Design]) -> str:
@@ -531,26 +562,36 @@ def with_failures(message: str, designs: Sequence[Design]) -> str:
 
 
 def _with_gradients(descent: Descent, u: Any, tolerance: float, steps: int) -> str:
-    """Minimize with fixed hits, renew the hits at the minimum, and repeat until this changes nothing."""
+    """Minimize with fixed hits, renew the hits at the minimum, and repeat until this changes nothing.
+
+    Where slabs and wires change their order, the search ends; it goes on beyond, if the designs there are better.
+    """
     from scipy.optimize import minimize
 
     limits = {"type": "ineq", "fun": descent.margins, "jac": descent.margin_slopes}
     descent.renew(u)
-    message = ""
-    for _ in range(_ROUNDS):
+    message, rounds, crossings = "", 0, 0
+    while rounds < _ROUNDS:
         found: Any = minimize(
             descent.value, u, jac=descent.slope, method="SLSQP", bounds=[(0.0, 1.0)] * len(u), constraints=[limits],
             options={"ftol": tolerance, "maxiter": steps},
         )  # fmt: skip
         new = np.clip(found.x, 0, 1)
-        moved, message = float(np.abs(new - u).max()), str(found.message)
+        moved, message, refused = float(np.abs(new - u).max()), str(found.message), descent.refused(u)
         try:
-            descent.renew(new)
+            row = descent.renew(new)
         except NoStartError as error:  # the last step touched another part
             return f"{message}; {error}"
-        u = new
-        if moved < _MOVED:
-            break
+        u, beyond = new, descent.beyond(row, refused)
+        if beyond is None:
+            rounds += 1
+            if moved < _MOVED:
+                break
+        elif crossings == _MOST_CROSSINGS:
+            return "slabs and wires change their order too often; method cobyla needs no fixed order"
+        else:
+            u, crossings = beyond, crossings + 1
+            descent.renew(u)
     return message
 
 
