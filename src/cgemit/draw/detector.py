@@ -43,7 +43,7 @@ class _Ring(NamedTuple):
 
 
 def draw_detector(detector: Detector | str | Mapping[str, Any]) -> Picture:
-    """Return a picture of the detector across the beam, whole and magnified, and along the beam.
+    """Return a picture of the detector across the beam, whole and magnified; `draw_sides` draws it along the beam.
 
     Parameters
     ----------
