@@ -590,7 +590,10 @@ def draw_front(columns: Columns, objectives: Sequence[str], errors: Sequence[str
             axes.set(xlabel=optimum_label(objectives[i]), ylabel=optimum_label(objectives[k]))
             grid(axes)
         entries = legend_entries(every[:1])
-        picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4, markerscale=1.3)
+        columns_of_legend = min(2 * len(pairs), 4)  # as wide as the panels
+        picture.legend(
+            entries.values(), entries.keys(), loc="outside lower center", ncols=columns_of_legend, markerscale=1.3
+        )
         picture.suptitle(escaped(title), fontsize=9.5)
     return picture
 

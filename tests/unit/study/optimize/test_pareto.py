@@ -14,6 +14,7 @@ from optuna.storages.journal import JournalFileBackend
 
 import cgemit as cg
 from cgemit.analysis.widths import GROUPS
+from cgemit.draw.design import draw_front
 from cgemit.draw.design import optimum_label as label
 from cgemit.study import Evaluation, Optimization, PlanError, Search, optimize
 from cgemit.study.optimize.pareto import by_noise, growth, hypervolume, nondominated, within_errors
@@ -203,6 +204,21 @@ def test_pictures_show_the_table(found: tuple[Optimization, Path]) -> None:
     assert len(lines) == len(result.front)
     with pytest.raises(ValueError, match="expected one of convergence, front, parallel"):
         result.draw("map")
+
+
+def test_the_legend_of_two_objectives_fits_into_the_picture() -> None:
+    columns = {
+        "front": ["dominated", "front", "front within errors", "within errors", "dominated"],
+        "allowed": [True] * 5,
+        "sigma_dr (um)": [160.0, 110.0, 112.0, 113.0, 150.0],
+        "channels": [5500.0, 6000.0, 5900.0, 5950.0, 6100.0],
+    }
+    picture = draw_front(columns, ["sigma_dr (um)", "channels"], [None, None], "tiny")
+    picture.draw_without_rendering()
+    (legend,) = picture.legends
+    box = legend.get_window_extent()
+    assert len(legend.get_texts()) == 5
+    assert 0 <= box.x0 < box.x1 <= picture.bbox.x1
 
 
 @pytest.mark.parametrize(
