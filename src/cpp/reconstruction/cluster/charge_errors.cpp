@@ -139,7 +139,7 @@ OwnSlope ChargeErrors::own_slope(const PlaneErrors& plane, const ChargeMoments& 
 
 double ChargeErrors::expected(Estimator estimator, bool of_track, int view, std::size_t layer,
                               Direction direction, double number) const {
-  // 0.6, 0.9, 0.8 and 0.014 below are means of simulated clusters in designs as of `cgemit readout --fit`.
+  // docs/methods/readout.md compares 0.6, 0.9, 0.8 and 0.014 below with clusters of random designs.
   const PlaneErrors& at = plane(view, layer);
   const double heights = square(at.gap) / 12, seen = span(at, direction.slope);
   ChargeMoments charge;
