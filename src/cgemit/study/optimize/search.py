@@ -414,7 +414,7 @@ class _Point:
 
 #: Most times that hits are renewed, and the step, in units of the ranges, below which they need not be.
 _ROUNDS, _MOVED = 6, 2e-3
-#: Most times that a search goes on where slabs and wires are in another order, and designs that are tried for it.
+#: Most times that a search goes on where slabs and wires are in another order, and about how many designs it tries.
 _MOST_CROSSINGS, _MOST_REFUSED = 30, 12
 
 

@@ -106,11 +106,14 @@ def reproduce(
         events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field),
         finder,
     )  # fmt: skip
-    if output is not None:
-        # Loading what draws takes half a second: beside the runs, between which a core is idle.
-        threading.Thread(target=import_module, args=("cgemit.study.paper.figures",), daemon=True).start()
+    if output is None:
+        return _measure(inputs, progress)
+    # Loading what draws takes half a second: beside the runs, between which a core is idle.
+    loading = threading.Thread(target=import_module, args=("cgemit.study.paper.figures",), daemon=True)
+    loading.start()
     study = _measure(inputs, progress)
-    return study if output is None else _write(study, Path(output), pdf, overwrite, command, progress)
+    loading.join()  # processes that draw are copies of this one only if it has no other threads
+    return _write(study, Path(output), pdf, overwrite, command, progress)
 
 
 def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
