@@ -180,7 +180,7 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
       .seed = seed};
   check(readout);
   const GainMaps gains = gain_maps(detector, gain_table);
-  DigiColumns digis;
+  Columns<DigiRow> digis;
   {
     py::gil_scoped_release release;
     kernels().read_out_analog(detector, truths, steps, readout, gains, digis);

@@ -14,6 +14,8 @@
 #include <string>
 #include <vector>
 
+#include "common/columns.hpp"
+
 namespace cgemit::bindings {
 
 namespace py = pybind11;
@@ -49,6 +51,13 @@ py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape 
   T* data = owner->data();
   py::capsule capsule(owner.release(), [](void* p) { delete static_cast<std::vector<T>*>(p); });
   return py::array_t<T>(std::move(shape), data, capsule);
+}
+
+template <class Row>
+py::dict to_dict(Columns<Row>&& table) {
+  py::dict columns;
+  table.each_column([&](const char* name, auto& values) { columns[name] = to_numpy(std::move(values)); });
+  return columns;
 }
 
 // A named column of a dict of columns, converted to T.

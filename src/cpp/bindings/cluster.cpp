@@ -1,7 +1,6 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "bindings/cluster_columns.hpp"
 #include "bindings/inputs.hpp"
 #include "reconstruction/cluster/charge_time.hpp"
 #include "reconstruction/cluster/clusters.hpp"
@@ -39,7 +38,7 @@ py::dict of_strips(const Detector& detector, const py::dict& table, const Array<
   const ErrorTable errors{matrix(err_x, "err_x", layers, sizes), matrix(err_v, "err_v", layers, sizes),
                           static_cast<std::size_t>(sizes)};
   const StripMask mask(detector, column(masked, "masked"), bridge);
-  ClusterColumns found;
+  Columns<ClusterRow> found;
   {
     py::gil_scoped_release release;
     found = find_clusters(detector, digis, errors, by_charge ? Position::charge : Position::centre, mask);
@@ -54,7 +53,7 @@ py::dict of_positions(const Detector& detector, const py::dict& table, const Arr
   digis.position = in.get<double>("position");
   const auto layers = static_cast<py::ssize_t>(detector.layers.size());
   const auto x = column(err_x, "err_x", layers), v = column(err_v, "err_v", layers);
-  ClusterColumns found;
+  Columns<ClusterRow> found;
   {
     py::gil_scoped_release release;
     found = clusters_of_positions(detector, digis, x, v);
@@ -165,7 +164,7 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
       .timed = timed,
       .slopes = column(slopes, "slopes", slopes.size()),
       .paths = column(paths, "paths", slopes.size())};
-  ClusterColumns found;
+  Columns<ClusterRow> found;
   {
     py::gil_scoped_release release;
     found = find_charge_time_clusters(detector, digis, model);

@@ -1,7 +1,6 @@
 // The tables that the digitizers read and write as dicts of numpy columns.
 #pragma once
 
-#include "bindings/arrays.hpp"
 #include "bindings/inputs.hpp"
 #include "simulation/digitize/digis.hpp"
 #include "simulation/digitize/truths.hpp"
@@ -34,22 +33,6 @@ inline StepColumns step_columns(Inputs& in) {
   steps.d = {in.get<double>("dx"), in.get<double>("dy"), in.get<double>("dz")};
   steps.energy = in.get<double>("energy");
   return steps;
-}
-
-inline py::dict to_dict(DigiColumns&& digis) {
-  py::dict out;
-  out["event"] = to_numpy(std::move(digis.event));
-  out["layer"] = to_numpy(std::move(digis.layer));
-  out["sheet"] = to_numpy(std::move(digis.sheet));
-  out["view"] = to_numpy(std::move(digis.view));
-  out["strip"] = to_numpy(std::move(digis.strip));
-  out["gid"] = to_numpy(std::move(digis.gid));
-  out["position"] = to_numpy(std::move(digis.position));
-  out["charge"] = to_numpy(std::move(digis.charge));
-  out["time"] = to_numpy(std::move(digis.time));
-  out["truth"] = to_numpy(std::move(digis.truth));
-  out["n_truths"] = to_numpy(std::move(digis.n_truths));
-  return out;
 }
 
 }  // namespace cgemit::bindings

@@ -29,7 +29,7 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
   const BinaryReadout readout{
       .gain = gain, .w_values = per_layer(w_values, detector), .threshold = threshold};
   const GainMaps gains = gain_maps(detector, gain_table);
-  DigiColumns digis;
+  Columns<DigiRow> digis;
   {
     py::gil_scoped_release release;
     digis = read_out_strips(detector, truths, steps, readout, gains);
@@ -58,7 +58,7 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
                                 .w_values = per_layer(w_values, detector),
                                 .seed = seed,
                                 .first_place = first_place};
-  DigiColumns digis;
+  Columns<DigiRow> digis;
   {
     py::gil_scoped_release release;
     digis = smear_positions(detector, truths, readout);
@@ -79,7 +79,7 @@ py::dict profiles(const Detector& detector, const py::dict& table, const py::dic
                                   .noise = noise,
                                   .seed = seed};
   const GainMaps gains = gain_maps(detector, gain_table);
-  DigiColumns digis;
+  Columns<DigiRow> digis;
   {
     py::gil_scoped_release release;
     digis = read_out_profiles(detector, truths, steps, readout, gains);
@@ -101,22 +101,12 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
   const auto distance = column(xt_distance, "xt_distance");
   if (distance.size() < 2) throw std::invalid_argument("xt_distance: expected at least two points");
   const auto time = column(xt_time, "xt_time", xt_distance.size());
-  WireHitColumns hits;
+  Columns<WireHitRow> hits;
   {
     py::gil_scoped_release release;
     hits = kernels().read_out_wires(detector, truths, {distance, time, reveal_sides, seed});
   }
-  py::dict out;
-  out["event"] = to_numpy(std::move(hits.event));
-  out["layer"] = to_numpy(std::move(hits.layer));
-  out["wire"] = to_numpy(std::move(hits.wire));
-  out["gid"] = to_numpy(std::move(hits.gid));
-  out["drift"] = to_numpy(std::move(hits.drift));
-  out["sigma"] = to_numpy(std::move(hits.sigma));
-  out["drift_time"] = to_numpy(std::move(hits.drift_time));
-  out["side"] = to_numpy(std::move(hits.side));
-  out["wire_truth"] = to_numpy(std::move(hits.wire_truth));
-  return out;
+  return to_dict(std::move(hits));
 }
 
 }  // namespace

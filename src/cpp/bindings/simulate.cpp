@@ -15,13 +15,6 @@ using namespace cgemit::bindings;
 
 namespace {
 
-template <class Table>
-py::dict to_columns(Table&& table) {
-  py::dict columns;
-  table.each_column([&](const char* name, auto& values) { columns[name] = to_numpy(std::move(values)); });
-  return columns;
-}
-
 // Modes and products come as flat columns: mode i belongs to species[of_species[i]], product k to mode
 // of_mode[k].
 DecayTable make_decays(const py::dict& species, const py::dict& modes, const py::dict& products) {
@@ -89,10 +82,10 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
   for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));
   py::dict result;
   result["status"] = to_numpy(std::move(status));
-  result["truths"] = to_columns(std::move(out.truths));
-  result["steps"] = to_columns(std::move(out.steps));
-  result["wire_truths"] = to_columns(std::move(out.wire_truths));
-  result["decays"] = to_columns(std::move(out.decays));
+  result["truths"] = to_dict(std::move(out.truths));
+  result["steps"] = to_dict(std::move(out.steps));
+  result["wire_truths"] = to_dict(std::move(out.wire_truths));
+  result["decays"] = to_dict(std::move(out.decays));
   return result;
 }
 

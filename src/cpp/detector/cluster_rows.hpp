@@ -6,8 +6,9 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
-#include <vector>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "detector/strip_plane.hpp"
 
 namespace cgemit {
@@ -38,6 +39,21 @@ struct ClusterRow {
   ClusterMethod method = ClusterMethod::strips;
   double score = not_measured;  // of a pair: logarithm of a likelihood ratio
   double shift = 0;             // mm, of X or V by the direction of the track; not a column
+
+  static constexpr auto columns() {
+    return std::tuple(
+        Column("event", &ClusterRow::event), Column("layer", &ClusterRow::layer),
+        Column("sheet", &ClusterRow::sheet), Column("view", &ClusterRow::view),
+        Column("first", &ClusterRow::first), Column("last", &ClusterRow::last),
+        Column("size", &ClusterRow::size), Column("charge", &ClusterRow::charge),
+        Column("time", &ClusterRow::time), Column("x", &ClusterRow::x), Column("v", &ClusterRow::v),
+        Column("phi", &ClusterRow::phi), Column("z", &ClusterRow::z), Column("r", &ClusterRow::r),
+        Column("err_x", &ClusterRow::err_x), Column("err_v", &ClusterRow::err_v),
+        Column("err_phi", &ClusterRow::err_phi), Column("err_z", &ClusterRow::err_z),
+        Column("x_cluster", &ClusterRow::x_cluster), Column("v_cluster", &ClusterRow::v_cluster),
+        Column("truth", &ClusterRow::truth), Column("n_truths", &ClusterRow::n_truths),
+        Column("method", &ClusterRow::method), Column("score", &ClusterRow::score));
+  }
 };
 
 // Sets the azimuth of a row from its x and err_x. The azimuth is also valid at mid-gap: charge is projected
@@ -67,22 +83,5 @@ inline ClusterRow join_views(const MeasuringLayer& layer, const ClusterRow& x, c
   joined.n_truths = std::max(x.n_truths, v.n_truths);
   return joined;
 }
-
-// The clusters table, one vector a column.
-struct ClusterColumns {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> layer, sheet;
-  std::vector<std::int8_t> view;
-  std::vector<std::int32_t> first, last, size;
-  std::vector<double> charge, time, x, v, phi, z, r, err_x, err_v, err_phi, err_z;
-  std::vector<std::int64_t> x_cluster, v_cluster, truth;
-  std::vector<std::int32_t> n_truths;
-  std::vector<std::int8_t> method;
-  std::vector<double> score;
-
-  std::int64_t rows() const { return static_cast<std::int64_t>(event.size()); }
-  void reserve(std::size_t n);
-  void push_back(const ClusterRow& row);
-};
 
 }  // namespace cgemit

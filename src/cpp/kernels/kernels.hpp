@@ -25,8 +25,8 @@ struct Kernels {
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
   void (*covariances)(const Detector&, const CovarianceInput&, const HitModel&, const CovarianceOutput&);
   void (*read_out_analog)(const Detector&, const TruthColumns&, const StepColumns&, const AnalogModel&,
-                          const GainMaps&, DigiColumns&);
-  WireHitColumns (*read_out_wires)(const Detector&, const WireTruthColumns&, const WireReadout&);
+                          const GainMaps&, Columns<DigiRow>&);
+  Columns<WireHitRow> (*read_out_wires)(const Detector&, const WireTruthColumns&, const WireReadout&);
 };
 
 // The kernels in use: scalar ones until others are opened.

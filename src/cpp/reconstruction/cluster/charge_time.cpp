@@ -268,8 +268,8 @@ class ChargeTimeClusters {
 
 }  // namespace
 
-ClusterColumns find_charge_time_clusters(const Detector& detector, const DigiView& digis,
-                                         const ChargeTimeModel& model) {
+Columns<ClusterRow> find_charge_time_clusters(const Detector& detector, const DigiView& digis,
+                                              const ChargeTimeModel& model) {
   return clusters_of_runs(detector, digis, {model.missing, model.mask}, ChargeTimeClusters(digis, model));
 }
 

@@ -67,7 +67,7 @@ struct Line {
 Line fit_line(std::span<const StripPoint> points, double stiffness);
 
 // Rows ordered by event, layer, sheet, then X, V and XV clusters, with positions at mid-gap.
-ClusterColumns find_charge_time_clusters(const Detector& detector, const DigiView& digis,
-                                         const ChargeTimeModel& model);
+Columns<ClusterRow> find_charge_time_clusters(const Detector& detector, const DigiView& digis,
+                                              const ChargeTimeModel& model);
 
 }  // namespace cgemit

@@ -52,8 +52,8 @@ struct BinaryClusters {
 
 }  // namespace
 
-ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
-                             Position position, const StripMask& mask) {
+Columns<ClusterRow> find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
+                                  Position position, const StripMask& mask) {
   return clusters_of_runs(detector, digis, {0, mask}, BinaryClusters{digis, errors, position});
 }
 

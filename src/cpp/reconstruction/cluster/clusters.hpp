@@ -28,7 +28,7 @@ enum class Position { centre, charge };
 
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Within an event the digis may come in any
 // order. Strips of the mask count as not there.
-ClusterColumns find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
-                             Position position, const StripMask& mask);
+Columns<ClusterRow> find_clusters(const Detector& detector, const DigiView& digis, const ErrorTable& errors,
+                                  Position position, const StripMask& mask);
 
 }  // namespace cgemit

@@ -36,7 +36,8 @@ ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, std:
 }
 
 // The clusters of one sheet: `views` holds its X clusters, then its V clusters.
-void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views, ClusterColumns& clusters) {
+void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views,
+                 Columns<ClusterRow>& clusters) {
   const auto n_x = static_cast<std::size_t>(
       std::ranges::count(views, ClusterView::x, [](const ClusterRow& row) { return row.view; }));
   if (!layer.has_x || !layer.has_v) {
@@ -50,7 +51,7 @@ void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views,
                                 std::to_string(n_x) + " positions in X and " +
                                 std::to_string(views.size() - n_x) + " in V, expected as many");
   }
-  const std::int64_t first = clusters.rows(), pairs = static_cast<std::int64_t>(n_x);
+  const auto first = static_cast<std::int64_t>(clusters.size()), pairs = static_cast<std::int64_t>(n_x);
   for (const ClusterRow& cluster : views) clusters.push_back(cluster);
   for (std::int64_t k = 0; k < pairs; ++k) {
     const auto at = static_cast<std::size_t>(k);
@@ -60,11 +61,11 @@ void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views,
 
 }  // namespace
 
-ClusterColumns clusters_of_positions(const Detector& detector, const DigiView& digis,
-                                     std::span<const double> err_x, std::span<const double> err_v) {
+Columns<ClusterRow> clusters_of_positions(const Detector& detector, const DigiView& digis,
+                                          std::span<const double> err_x, std::span<const double> err_v) {
   check(detector, digis);
   const std::vector<std::size_t> order = by_place(digis);
-  ClusterColumns clusters;
+  Columns<ClusterRow> clusters;
   clusters.reserve(3 * digis.size() / 2);
   std::vector<ClusterRow> sheet;
   for (std::size_t i = 0; i < order.size(); ++i) {

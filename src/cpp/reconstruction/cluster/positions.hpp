@@ -12,7 +12,7 @@ namespace cgemit {
 // has two views, the n-th X and the n-th V position of a sheet form an XV cluster. Rows ordered by event,
 // layer, sheet, then X, V and XV clusters. Throws std::invalid_argument if a sheet of two views does not have
 // as many X as V positions.
-ClusterColumns clusters_of_positions(const Detector& detector, const DigiView& digis,
-                                     std::span<const double> err_x, std::span<const double> err_v);
+Columns<ClusterRow> clusters_of_positions(const Detector& detector, const DigiView& digis,
+                                          std::span<const double> err_x, std::span<const double> err_v);
 
 }  // namespace cgemit

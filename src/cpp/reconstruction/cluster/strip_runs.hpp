@@ -106,8 +106,8 @@ void find_pairs(const MeasuringLayer& layer, std::span<const ClusterRow> views, 
 
 // Writes the clusters of one sheet and their pairs.
 inline void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views,
-                        std::span<const CrossingPair> pairs, ClusterColumns& clusters) {
-  const std::int64_t first = clusters.rows();
+                        std::span<const CrossingPair> pairs, Columns<ClusterRow>& clusters) {
+  const auto first = static_cast<std::int64_t>(clusters.size());
   for (const ClusterRow& cluster : views) clusters.push_back(cluster);
   for (const CrossingPair& pair : pairs) {
     clusters.push_back(join_views(layer, views[pair.x], views[pair.v],
@@ -159,8 +159,8 @@ inline void widen(const MeasuringLayer& layer, const StripMask& mask, ClusterRow
 //   of a particle (without it, all may).
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Digis of masked strips are left out.
 template <class Model>
-ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
-                                Model&& model) {
+Columns<ClusterRow> clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
+                                     Model&& model) {
   check(digis, detector);
   std::vector<std::size_t> order = by_place(digis), cuts;
   if (!joining.mask.is_empty()) {
@@ -171,7 +171,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
       return !model.keeps(detector.layers[static_cast<std::size_t>(digis.layer[row])], row);
     });
   }
-  ClusterColumns clusters;
+  Columns<ClusterRow> clusters;
   clusters.reserve(digis.size());
   std::vector<ClusterRow> sheet;
   std::vector<CrossingPair> pairs;
@@ -180,7 +180,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
     const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(sheet.front().layer)];
     find_pairs(layer, sheet, model, pairs);
     if constexpr (requires { model.place(layer, sheet, pairs, std::size_t{}); }) {
-      model.place(layer, sheet, pairs, static_cast<std::size_t>(clusters.rows()));
+      model.place(layer, sheet, pairs, clusters.size());
     }
     for (ClusterRow& cluster : sheet) widen(layer, joining.mask, cluster);
     write_sheet(layer, sheet, pairs, clusters);
@@ -197,7 +197,7 @@ ClusterColumns clusters_of_runs(const Detector& detector, const DigiView& digis,
     cuts.push_back(rows.size() - 1);
     for (std::size_t k = 1; k < cuts.size(); ++k) {
       const StripRun run{rows.subspan(cuts[k - 1], cuts[k] - cuts[k - 1] + 1), k > 1, k + 1 < cuts.size()};
-      sheet.push_back(model.make(layer, run, static_cast<std::size_t>(clusters.rows()) + sheet.size()));
+      sheet.push_back(model.make(layer, run, clusters.size() + sheet.size()));
     }
   }
   flush();

@@ -4,7 +4,7 @@
 namespace cgemit {
 
 void read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                     const AnalogModel& readout, const GainMaps& gains, DigiColumns& digis) {
+                     const AnalogModel& readout, const GainMaps& gains, Columns<DigiRow>& digis) {
   read_out_analog_lanes<Number>(detector, truths, steps, readout, gains, digis);
 }
 

@@ -29,6 +29,6 @@ struct AnalogModel {
 // lacks some. `gains` act where an avalanche reaches the anode. One electron at a time: the reference of the
 // kernels (kernels/kernels.hpp), which have several side by side.
 void read_out_analog(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                     const AnalogModel& readout, const GainMaps& gains, DigiColumns& digis);
+                     const AnalogModel& readout, const GainMaps& gains, Columns<DigiRow>& digis);
 
 }  // namespace cgemit

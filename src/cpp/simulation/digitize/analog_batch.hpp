@@ -105,7 +105,7 @@ class EventReadout {
       write(layer, truths_.event[begin]);
     }
   }
-  DigiColumns digis;
+  Columns<DigiRow> digis;
 
  private:
   static constexpr std::size_t width = lanes_of<T>;
@@ -223,7 +223,7 @@ class EventReadout {
 
 template <class T>
 void read_out_analog_lanes(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                           const AnalogModel& readout, const GainMaps& gains, DigiColumns& digis) {
+                           const AnalogModel& readout, const GainMaps& gains, Columns<DigiRow>& digis) {
   check(truths, detector);
   check(steps, truths, detector);
   EventReadout<T> event(detector, truths, steps, readout, gains);

@@ -63,16 +63,18 @@ void read_out(const MeasuringLayer& layer, const TruthColumns& truths, std::size
 
 }  // namespace
 
-DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const BinaryReadout& readout, const GainMaps& gains) {
+Columns<DigiRow> read_out_strips(const Detector& detector, const TruthColumns& truths,
+                                 const StepColumns& steps, const BinaryReadout& readout,
+                                 const GainMaps& gains) {
   check(truths, detector);
   check(steps, truths, detector);
-  DigiColumns digis;
-  std::vector<Contribution> parts;
+  Columns<DigiRow> digis;
+  digis.reserve(8 * truths.size());
+  Contributions all;
   std::size_t step = 0;  // truths and steps have the same order
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
-    parts.clear();
+    all.parts.clear();
     for (std::size_t row = begin; row < end; ++row) {
       const std::size_t first = step;
       while (step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row)) ++step;
@@ -80,9 +82,9 @@ DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths
       const double per_energy = charge_per_energy(readout.gain, readout.w_values[layer]) *
                                 gains.at(detector, layer, truths.phi[row], truths.z[row]);
       if (truths.energy[row] * per_energy < readout.threshold) continue;
-      read_out(detector.layers[layer], truths, row, steps, first, step, per_energy, parts);
+      read_out(detector.layers[layer], truths, row, steps, first, step, per_energy, all.parts);
     }
-    write_digis(truths.event[begin], parts, digis, [](DigiRow&) { return true; });
+    all.write(truths.event[begin], digis, [](DigiRow&) { return true; });
   }
   return digis;
 }

@@ -23,7 +23,8 @@ struct BinaryReadout {
 // own projection touches. The rest of the truth's energy belongs to the particle and is shared by the strips
 // between entry and exit. Steps of the particle itself have no effect. `gains` act where the truth crosses
 // the middle of the gap.
-DigiColumns read_out_strips(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                            const BinaryReadout& readout, const GainMaps& gains = {});
+Columns<DigiRow> read_out_strips(const Detector& detector, const TruthColumns& truths,
+                                 const StepColumns& steps, const BinaryReadout& readout,
+                                 const GainMaps& gains = {});
 
 }  // namespace cgemit

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <tuple>
+#include <span>
 #include <vector>
 
 #include "detector/detector.hpp"
@@ -19,53 +19,73 @@ struct Contribution {
   std::int32_t strip;
   double charge, time;
   std::int64_t truth;
-
-  auto order() const { return std::tuple(gid, truth); }
 };
 
-inline void append(const MeasuringLayer& layer, Contribution strip, StripRange range,
+inline void append(const MeasuringLayer& layer, const Contribution& each, StripRange range,
                    std::vector<Contribution>& out) {
-  const int sheet_first = layer.gid_first + strip.sheet * (layer.strips_x + layer.strips_v);
-  const int view_first = sheet_first + (strip.view == 0 ? 0 : layer.strips_x);
-  for (strip.strip = range.first; strip.strip <= range.last; ++strip.strip) {
-    strip.gid = view_first + strip.strip;
-    out.push_back(strip);
+  const int sheet_first = layer.gid_first + each.sheet * (layer.strips_x + layer.strips_v);
+  const int view_first = sheet_first + (each.view == 0 ? 0 : layer.strips_x);
+  for (int strip = range.first; strip <= range.last; ++strip) {
+    out.push_back(
+        {view_first + strip, each.layer, each.sheet, each.view, strip, each.charge, each.time, each.truth});
   }
 }
 
-// The digi of the contributions [begin, end) to one strip, ordered by truth.
-inline DigiRow digi_of(std::int64_t event, const Contribution* begin, const Contribution* end) {
-  double charge = 0, time = begin->time, of_truth = 0, largest = -1;
-  std::int64_t truth = -1;
-  std::int32_t n_truths = 0;
-  for (const Contribution* part = begin; part != end; ++part) {
-    const bool new_truth = part == begin || part->truth != (part - 1)->truth;
-    n_truths += new_truth;
-    of_truth = part->charge + (new_truth ? 0 : of_truth);
-    if (of_truth > largest) {
-      largest = of_truth;
-      truth = part->truth;
+// The contributions of an event, listed by truth.
+class Contributions {
+ public:
+  std::vector<Contribution> parts;
+
+  // Appends the digis that `accept` takes; it may change them.
+  template <class Accept>
+  void write(std::int64_t event, Columns<DigiRow>& digis, Accept&& accept) {
+    order_.clear();
+    for (const Contribution& part : parts)
+      order_.push_back(static_cast<std::uint64_t>(part.gid) << 32 | order_.size());
+    // Without delta electrons they are in order already.
+    if (!std::ranges::is_sorted(order_)) std::ranges::sort(order_);
+    for (std::size_t first = 0, last; first < order_.size(); first = last) {
+      last = first + 1;
+      while (last < order_.size() && order_[last] >> 32 == order_[first] >> 32) ++last;
+      DigiRow& digi = digis.next();
+      sum_up(event, std::span(order_).subspan(first, last - first), digi);
+      if (accept(digi)) digis.keep();
     }
-    charge += part->charge;
-    time = std::min(time, part->time);
   }
-  DigiRow digi{event, begin->layer, begin->sheet, begin->view, begin->strip, begin->gid};
-  digi.charge = charge;
-  digi.time = time;
-  digi.truth = truth;
-  digi.n_truths = n_truths;
-  return digi;
-}
 
-// Sorts the contributions of an event and appends its digis that `accept` takes; it may change them.
-template <class Accept>
-void write_digis(std::int64_t event, std::vector<Contribution>& parts, DigiColumns& digis, Accept&& accept) {
-  std::sort(parts.begin(), parts.end(), [](const auto& a, const auto& b) { return a.order() < b.order(); });
-  for (std::size_t first = 0, last; first < parts.size(); first = last) {
-    for (last = first + 1; last < parts.size() && parts[last].gid == parts[first].gid;) ++last;
-    DigiRow digi = digi_of(event, &parts[first], parts.data() + last);
-    if (accept(digi)) digis.push_back(digi);
+ private:
+  const Contribution& part(std::uint64_t place) const { return parts[place & 0xFFFFFFFF]; }
+
+  // Makes the digi of a strip.
+  void sum_up(std::int64_t event, std::span<const std::uint64_t> places, DigiRow& digi) const {
+    const Contribution& first = part(places.front());
+    digi.event = event;
+    digi.layer = first.layer;
+    digi.sheet = first.sheet;
+    digi.view = first.view;
+    digi.strip = first.strip;
+    digi.gid = first.gid;
+    digi.charge = 0;
+    digi.time = first.time;
+    digi.n_truths = 0;
+    double of_truth = 0, largest = -1;
+    std::int64_t before = -1;
+    for (const std::uint64_t place : places) {
+      const Contribution& one = part(place);
+      const bool new_truth = one.truth != before;
+      before = one.truth;
+      digi.n_truths += new_truth;
+      of_truth = one.charge + (new_truth ? 0 : of_truth);
+      if (of_truth > largest) {
+        largest = of_truth;
+        digi.truth = one.truth;
+      }
+      digi.charge += one.charge;
+      digi.time = std::min(digi.time, one.time);
+    }
   }
-}
+
+  std::vector<std::uint64_t> order_;  // strip, then number in `parts`
+};
 
 }  // namespace cgemit

@@ -3,8 +3,9 @@
 
 #include <cstdint>
 #include <limits>
-#include <vector>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "common/units.hpp"
 
 namespace cgemit {
@@ -19,30 +20,14 @@ struct DigiRow {
   double time = 0;                                             // ns, of the earliest contribution
   std::int64_t truth = -1;                                     // row of the largest contribution
   std::int32_t n_truths = 0;
-};
 
-// One vector per column.
-struct DigiColumns {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> layer, sheet;
-  std::vector<std::int8_t> view;
-  std::vector<std::int32_t> strip, gid;
-  std::vector<double> position, charge, time;
-  std::vector<std::int64_t> truth;
-  std::vector<std::int32_t> n_truths;
-
-  void push_back(const DigiRow& row) {
-    event.push_back(row.event);
-    layer.push_back(row.layer);
-    sheet.push_back(row.sheet);
-    view.push_back(row.view);
-    strip.push_back(row.strip);
-    gid.push_back(row.gid);
-    position.push_back(row.position);
-    charge.push_back(row.charge);
-    time.push_back(row.time);
-    truth.push_back(row.truth);
-    n_truths.push_back(row.n_truths);
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &DigiRow::event), Column("layer", &DigiRow::layer),
+                      Column("sheet", &DigiRow::sheet), Column("view", &DigiRow::view),
+                      Column("strip", &DigiRow::strip), Column("gid", &DigiRow::gid),
+                      Column("position", &DigiRow::position), Column("charge", &DigiRow::charge),
+                      Column("time", &DigiRow::time), Column("truth", &DigiRow::truth),
+                      Column("n_truths", &DigiRow::n_truths));
   }
 };
 

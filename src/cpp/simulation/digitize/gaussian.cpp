@@ -33,8 +33,7 @@ std::pair<double, double> inclined(const MeasuringLayer& layer, const PositionEr
   if (layer.slope == 0) return {errors.sigma_x, errors.sigma_v};
   const double from = local_x(layer, sheet, std::atan2(entry.y, entry.x));
   // Entry and exit may lie on both sides of the edge of the sheet.
-  const double turn = wrap_angle(std::atan2(exit.y, exit.x) - std::atan2(entry.y, entry.x));
-  const double to = from + layer.r_readout * turn;
+  const double to = from + layer.r_readout * turn_between(entry.x, entry.y, exit.x, exit.y);
   const double along_v = local_v(layer, to, exit.z) - local_v(layer, from, entry.z);
   return {std::hypot(errors.sigma_x, layer.slope * (to - from)),
           std::hypot(errors.sigma_v, layer.slope * along_v)};
@@ -76,10 +75,10 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
 
 }  // namespace
 
-DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
-                            const GaussianReadout& readout) {
+Columns<DigiRow> smear_positions(const Detector& detector, const TruthColumns& truths,
+                                 const GaussianReadout& readout) {
   check(truths, detector);
-  DigiColumns digis;
+  Columns<DigiRow> digis;
   std::vector<Pair> pairs;
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);

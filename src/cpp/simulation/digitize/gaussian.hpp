@@ -28,7 +28,7 @@ struct GaussianReadout {
 
 // A position in each view of the layer for each truth on the active area of a sheet, ordered by event, layer,
 // sheet, view, and then as the truths. X and V errors are independent.
-DigiColumns smear_positions(const Detector& detector, const TruthColumns& truths,
-                            const GaussianReadout& readout);
+Columns<DigiRow> smear_positions(const Detector& detector, const TruthColumns& truths,
+                                 const GaussianReadout& readout);
 
 }  // namespace cgemit

@@ -39,8 +39,7 @@ void share_profile(double from, double to, double sigma, int strips, Give&& give
 void share(const MeasuringLayer& layer, const Point& from, const Point& to, double charge, double sigma,
            Contribution strip, std::vector<Contribution>& out) {
   const Pieces pieces = unroll(layer, from, to);
-  const double whole = std::hypot(
-      layer.r_readout * wrap_angle(std::atan2(to.y, to.x) - std::atan2(from.y, from.x)), to.z - from.z);
+  const double whole = std::hypot(layer.r_readout * turn_between(from.x, from.y, to.x, to.y), to.z - from.z);
   for (int k = 0; k < pieces.n; ++k) {
     const SheetPiece& piece = pieces.list[static_cast<std::size_t>(k)];
     const double part = whole > 0 ? std::hypot(piece.x2 - piece.x1, piece.z2 - piece.z1) / whole : 1.0;
@@ -61,16 +60,17 @@ void share(const MeasuringLayer& layer, const Point& from, const Point& to, doub
 
 }  // namespace
 
-DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                              const ProjectionReadout& readout, const GainMaps& gains) {
+Columns<DigiRow> read_out_profiles(const Detector& detector, const TruthColumns& truths,
+                                   const StepColumns& steps, const ProjectionReadout& readout,
+                                   const GainMaps& gains) {
   check(truths, detector);
   check(steps, truths, detector);
-  DigiColumns digis;
-  std::vector<Contribution> parts;
+  Columns<DigiRow> digis;
+  Contributions all;
   std::size_t step = 0;  // truths and steps have the same order
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
-    parts.clear();
+    all.parts.clear();
     for (std::size_t row = begin; row < end; ++row) {
       const auto number = static_cast<std::size_t>(truths.layer[row]);
       const double per_energy = charge_per_energy(readout.gain, readout.w_values[number]);
@@ -85,14 +85,14 @@ DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& trut
         const Point at = steps.end(step, 0);
         const double gain = gains.at(detector, number, std::atan2(at.y, at.x), at.z);
         share(detector.layers[number], steps.end(step, -0.5), steps.end(step, 0.5),
-              gain * steps.energy[step] * per_energy, readout.sigma, strip, parts);
+              gain * steps.energy[step] * per_energy, readout.sigma, strip, all.parts);
       }
       const double gain = gains.at(detector, number, truths.phi[row], truths.z[row]);
       share(detector.layers[number], truths.entry_point(row), truths.exit_point(row),
-            gain * std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, parts);
+            gain * std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, all.parts);
     }
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[begin]), 0);
-    write_digis(truths.event[begin], parts, digis, [&](DigiRow& digi) {
+    all.write(truths.event[begin], digis, [&](DigiRow& digi) {
       const auto gid = static_cast<std::uint32_t>(digi.gid);
       digi.charge += readout.noise * stream.normals(Purpose::readout_strip, gid)[0];
       return digi.charge > readout.threshold;

@@ -26,7 +26,8 @@ double profile_below(double edge, double a, double b, double sigma);
 
 // One row per strip above threshold, ordered by event, layer, sheet, view, strip. Steps count as in
 // `read_out_strips`. `gains` act in the middle of each step and where a truth crosses the middle of the gap.
-DigiColumns read_out_profiles(const Detector& detector, const TruthColumns& truths, const StepColumns& steps,
-                              const ProjectionReadout& readout, const GainMaps& gains = {});
+Columns<DigiRow> read_out_profiles(const Detector& detector, const TruthColumns& truths,
+                                   const StepColumns& steps, const ProjectionReadout& readout,
+                                   const GainMaps& gains = {});
 
 }  // namespace cgemit

@@ -113,33 +113,14 @@ void fire(const Detector& detector, const std::vector<int>& index, const WireTru
   });
 }
 
-void write(const WireTruthColumns& truths, bool reveal_sides, const FiredCell& hit, WireHitColumns& hits) {
-  hits.event.push_back(truths.event[hit.row]);
-  hits.layer.push_back(truths.layer[hit.row]);
-  hits.wire.push_back(truths.wire[hit.row]);
-  hits.gid.push_back(hit.gid);
-  hits.drift.push_back(hit.drift);
-  hits.sigma.push_back(hit.sigma);
-  hits.drift_time.push_back(hit.drift_time);
-  hits.side.push_back(reveal_sides ? truths.side[hit.row] : std::int8_t{0});
-  hits.wire_truth.push_back(static_cast<std::int64_t>(hit.row));
-}
-
-void reserve(WireHitColumns& hits, std::size_t n) {
-  for (auto* values : {&hits.event, &hits.wire_truth}) values->reserve(n);
-  for (auto* values : {&hits.layer, &hits.wire, &hits.gid}) values->reserve(n);
-  for (auto* values : {&hits.drift, &hits.sigma, &hits.drift_time}) values->reserve(n);
-  hits.side.reserve(n);
-}
-
 }  // namespace
 
-WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& truths,
-                              const WireReadout& readout) {
+Columns<WireHitRow> read_out_wires(const Detector& detector, const WireTruthColumns& truths,
+                                   const WireReadout& readout) {
   const auto index = index_of_number(detector);
   check(truths, detector, index);
-  WireHitColumns hits;
-  reserve(hits, truths.size());
+  Columns<WireHitRow> hits;
+  hits.reserve(truths.size());
   constexpr std::size_t lanes = lanes_of<Number>;
   const DriftTimes times(readout);
   std::vector<FiredCell> fired;
@@ -150,7 +131,12 @@ WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& 
       fire(detector, index, truths, row, std::min(lanes, end - row), readout, times, fired);
     std::sort(fired.begin(), fired.end());
     for (std::size_t i = 0; i < fired.size(); ++i) {
-      if (i == 0 || fired[i].gid != fired[i - 1].gid) write(truths, readout.reveal_sides, fired[i], hits);
+      const FiredCell& cell = fired[i];
+      if (i > 0 && cell.gid == fired[i - 1].gid) continue;
+      hits.push_back({truths.event[cell.row], truths.layer[cell.row], truths.wire[cell.row], cell.gid,
+                      cell.drift, cell.sigma, cell.drift_time,
+                      readout.reveal_sides ? truths.side[cell.row] : std::int8_t{0},
+                      static_cast<std::int64_t>(cell.row)});
     }
   }
   return hits;

@@ -3,8 +3,9 @@
 
 #include <cstdint>
 #include <span>
-#include <vector>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "detector/detector.hpp"
 
 namespace cgemit {
@@ -27,21 +28,29 @@ struct WireReadout {
   std::uint64_t seed;
 };
 
-// One row per fired cell, ordered by event, layer, wire.
-struct WireHitColumns {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> layer, wire, gid;
-  std::vector<double> drift, sigma;      // mm
-  std::vector<double> drift_time;        // ns
-  std::vector<std::int8_t> side;         // 0 hidden
-  std::vector<std::int64_t> wire_truth;  // row of the cell crossing that gave the hit
+// A fired cell.
+struct WireHitRow {
+  std::int64_t event;
+  std::int32_t layer, wire, gid;
+  double drift, sigma;      // mm
+  double drift_time;        // ns
+  std::int8_t side;         // 0 hidden
+  std::int64_t wire_truth;  // row of the cell crossing that gave the hit
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &WireHitRow::event), Column("layer", &WireHitRow::layer),
+                      Column("wire", &WireHitRow::wire), Column("gid", &WireHitRow::gid),
+                      Column("drift", &WireHitRow::drift), Column("sigma", &WireHitRow::sigma),
+                      Column("drift_time", &WireHitRow::drift_time), Column("side", &WireHitRow::side),
+                      Column("wire_truth", &WireHitRow::wire_truth));
+  }
 };
 
 // The drift distance is |doca| plus a Gaussian error sigma(|doca|), not cut at zero. Near the wire it may be
 // slightly negative; side times drift is then exactly Gaussian about doca. A cell fired by several particles
 // gives one hit, that with the smallest sum of delay and drift time; the drift time of the hit is without
-// delay.
-WireHitColumns read_out_wires(const Detector& detector, const WireTruthColumns& truths,
-                              const WireReadout& readout);
+// delay. Rows are ordered by event, layer, wire.
+Columns<WireHitRow> read_out_wires(const Detector& detector, const WireTruthColumns& truths,
+                                   const WireReadout& readout);
 
 }  // namespace cgemit

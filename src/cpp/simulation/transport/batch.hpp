@@ -216,7 +216,7 @@ class Batch {
           if (lane(gap.filled, seat->lane)) write_gap(gap, seat->lane, who(row));
         if (with_cells) write_cells(group.cells, seat->lane, group.rows);
         for (std::size_t k = 0; k < group.daughters.size(); ++k)
-          out_.decays.append(group.daughters[k], static_cast<std::int32_t>(k + 1));
+          write_daughter(group.daughters[k], static_cast<std::int32_t>(k + 1));
         out_.status.push_back(group.status[static_cast<std::size_t>(seat->lane)]);
       });
       ++seat;
@@ -242,21 +242,75 @@ class Batch {
   template <class N>
   void write_gap(const GapRecord<N>& gap, int i, const ParticleNumber& of) {
     const GapResult left = ionizes(gap) ? write_steps(gap, of) : GapResult{lane(gap.deposit, i) / keV, 0, 0};
-    out_.truths.append(
-        of, {gap.slab->gap, gap.daughter, gap.half_turn, lane(gap.entry, i), lane(gap.middle, i),
-             lane(gap.exit, i), lane(gap.inside.p, i), lane(gap.path, i), lane(gap.time, i), left});
+    const HelixPoint entry = lane(gap.entry, i), middle = lane(gap.middle, i), exit = lane(gap.exit, i);
+    const double pt = lane(gap.inside.p, i) / std::sqrt(1 + middle.tanl * middle.tanl);
+    out_.truths.push_back({.event = of.event,
+                           .particle = of.particle,
+                           .layer = gap.slab->gap,
+                           .entry_x = entry.x,
+                           .entry_y = entry.y,
+                           .entry_z = entry.z,
+                           .exit_x = exit.x,
+                           .exit_y = exit.y,
+                           .exit_z = exit.z,
+                           .r = middle.radius(),
+                           .phi = std::atan2(middle.y, middle.x),
+                           .z = middle.z,
+                           .px = pt * middle.ux,
+                           .py = pt * middle.uy,
+                           .pz = pt * middle.tanl,
+                           .path = lane(gap.path, i),
+                           .time = lane(gap.time, i),
+                           .energy = left.energy,
+                           .secondaries = static_cast<std::uint8_t>(std::min(left.deltas, 255)),
+                           .daughter = gap.daughter,
+                           .half_turn = gap.half_turn});
   }
 
   template <class N>
   GapResult write_steps(const GapRecord<N>& gap, const ParticleNumber& of) {
     const Filled& filled = filled_[next_filled_++];
-    const auto truth = static_cast<std::int64_t>(out_.truths.event.size());
-    for (std::size_t k = 0; k < filled.clusters; ++k)
-      out_.steps.append(of, gap.slab->gap, clusters_[next_cluster_++], truth);
+    const auto write = [&](const Deposit& deposit) {
+      out_.steps.push_back({.event = of.event,
+                            .particle = of.particle,
+                            .layer = gap.slab->gap,
+                            .x = deposit.x,
+                            .y = deposit.y,
+                            .z = deposit.z,
+                            .dx = deposit.dx,
+                            .dy = deposit.dy,
+                            .dz = deposit.dz,
+                            .energy = deposit.energy,
+                            .n_electrons = deposit.electrons,
+                            .parent = static_cast<std::int8_t>(deposit.delta > 0 ? 1 : 0),
+                            .delta = deposit.delta,
+                            .truth = static_cast<std::int64_t>(out_.truths.size())});
+    };
+    for (std::size_t k = 0; k < filled.clusters; ++k) write(clusters_[next_cluster_++]);
     of_deltas_.clear();
     const GapResult left = collect(matter(gap), filled.crossing, filled.ionized, electrons_, of_deltas_);
-    for (const Deposit& deposit : of_deltas_) out_.steps.append(of, gap.slab->gap, deposit, truth);
+    std::ranges::for_each(of_deltas_, write);
     return left;
+  }
+
+  void write_daughter(const Daughter& one, std::int32_t number) {
+    out_.decays.push_back({.event = one.of.event,
+                           .particle = one.of.particle,
+                           .daughter = number,
+                           .parent = one.parent,
+                           .pdg = one.pdg,
+                           .mode = one.mode,
+                           .x = one.at.position.x,
+                           .y = one.at.position.y,
+                           .z = one.at.position.z,
+                           .time = one.time,
+                           .parent_px = one.at.momentum.x,
+                           .parent_py = one.at.momentum.y,
+                           .parent_pz = one.at.momentum.z,
+                           .px = one.momentum.x,
+                           .py = one.momentum.y,
+                           .pz = one.momentum.z,
+                           .status = one.status});
   }
 
   const Detector& detector_;
@@ -285,10 +339,10 @@ void simulate_in(const Detector& detector, const ParticleColumns& particles, con
 inline void reserve(const Detector& detector, const SimulateSettings& settings, std::size_t n,
                     Simulated& out) {
   out.status.reserve(n);
-  reserve_rows(out.truths, n * detector.layers.size());
-  if (settings.deltas && settings.fluctuations == Fluctuations::full) reserve_rows(out.steps, 10 * n);
+  out.truths.reserve(n * detector.layers.size());
+  if (settings.deltas && settings.fluctuations == Fluctuations::full) out.steps.reserve(10 * n);
   // Tracks cross slightly more than one cell of a layer.
-  reserve_rows(out.wire_truths, n * (detector.wires.size() + detector.wires.size() / 8));
+  out.wire_truths.reserve(n * (detector.wires.size() + detector.wires.size() / 8));
 }
 
 template <class T>

@@ -6,6 +6,7 @@
 
 #include "matter/kinematics.hpp"
 #include "motion/helix.hpp"
+#include "simulation/transport/daughters.hpp"
 #include "simulation/transport/rows.hpp"
 
 namespace cgemit {
@@ -50,26 +51,22 @@ struct CellRecord {
 // Appends the cells of one lane.
 template <class T>
 void append_cells(const std::vector<CellRecord<T>>& cells, int i, const ParticleNumber& who,
-                  WireTruths& out) {
-  std::size_t row = out.event.size(), end = row;
-  for (const CellRecord<T>& c : cells) end += lane(c.fired, i);
-  resize_rows(out, end);
+                  Columns<WireTruthRow>& out) {
   for (const CellRecord<T>& c : cells) {
     if (!lane(c.fired, i)) continue;
     const double doca = lane(c.doca, i);
-    out.event[row] = who.event;
-    out.particle[row] = who.particle;
-    out.layer[row] = c.layer->number;
-    out.wire[row] = static_cast<std::int32_t>(c.wire[static_cast<std::size_t>(i)]);
-    out.doca[row] = doca;
-    out.side[row] = doca > 0 ? 1 : -1;
-    out.x[row] = lane(c.x, i);
-    out.y[row] = lane(c.y, i);
-    out.z[row] = lane(c.z, i);
-    out.time[row] = lane(c.time, i);
-    out.daughter[row] = c.daughter;
-    out.half_turn[row] = c.half_turn;
-    ++row;
+    out.push_back({.event = who.event,
+                   .particle = who.particle,
+                   .layer = c.layer->number,
+                   .wire = static_cast<std::int32_t>(c.wire[static_cast<std::size_t>(i)]),
+                   .doca = doca,
+                   .side = static_cast<std::int8_t>(doca > 0 ? 1 : -1),
+                   .x = lane(c.x, i),
+                   .y = lane(c.y, i),
+                   .z = lane(c.z, i),
+                   .time = lane(c.time, i),
+                   .daughter = c.daughter,
+                   .half_turn = c.half_turn});
   }
 }
 

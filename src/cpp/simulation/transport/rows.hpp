@@ -1,113 +1,98 @@
-// The tables written by the simulation, one vector per column. `each_column` calls a function with the name
-// and the values of every column.
+// Rows of the tables written by the simulation.
 #pragma once
 
 #include <cstdint>
-#include <vector>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "common/status.hpp"
-#include "matter/ionization.hpp"
-#include "motion/helix.hpp"
-#include "simulation/transport/daughters.hpp"
 
 namespace cgemit {
 
 // A crossing of a drift gap.
-struct GapRow {
-  std::int32_t layer, daughter;
+struct TruthRow {
+  std::int64_t event;
+  std::int32_t particle, layer;
+  double entry_x, entry_y, entry_z, exit_x, exit_y, exit_z;  // mm
+  double r, phi, z;                                          // middle of the gap
+  double px, py, pz;                                         // GeV/c, there
+  double path, time, energy;                                 // mm, ns, keV
+  std::uint8_t secondaries;
+  std::int32_t daughter;
   std::int8_t half_turn;
-  HelixPoint entry, middle, exit;
-  double momentum;    // GeV/c
-  double path, time;  // mm, ns
-  GapResult left;
-};
 
-// One row per crossing of a drift gap.
-struct Truths {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> particle, layer, daughter;
-  std::vector<double> entry_x, entry_y, entry_z, exit_x, exit_y, exit_z;  // mm
-  std::vector<double> r, phi, z;                                          // middle of the gap
-  std::vector<double> px, py, pz;                                         // GeV/c, there
-  std::vector<double> path, time, energy;                                 // mm, ns, keV
-  std::vector<std::uint8_t> secondaries;
-  std::vector<std::int8_t> half_turn;
-
-  void append(const ParticleNumber& who, const GapRow& row);
-  template <class F>
-  void each_column(F&& f) {
-    f("event", event), f("particle", particle), f("layer", layer);
-    f("entry_x", entry_x), f("entry_y", entry_y), f("entry_z", entry_z);
-    f("exit_x", exit_x), f("exit_y", exit_y), f("exit_z", exit_z);
-    f("r", r), f("phi", phi), f("z", z), f("px", px), f("py", py), f("pz", pz);
-    f("path", path), f("time", time), f("energy", energy), f("secondaries", secondaries);
-    f("daughter", daughter), f("half_turn", half_turn);
+  static constexpr auto columns() {
+    using R = TruthRow;
+    return std::tuple(
+        Column("event", &R::event), Column("particle", &R::particle), Column("layer", &R::layer),
+        Column("entry_x", &R::entry_x), Column("entry_y", &R::entry_y), Column("entry_z", &R::entry_z),
+        Column("exit_x", &R::exit_x), Column("exit_y", &R::exit_y), Column("exit_z", &R::exit_z),
+        Column("r", &R::r), Column("phi", &R::phi), Column("z", &R::z), Column("px", &R::px),
+        Column("py", &R::py), Column("pz", &R::pz), Column("path", &R::path), Column("time", &R::time),
+        Column("energy", &R::energy), Column("secondaries", &R::secondaries),
+        Column("daughter", &R::daughter), Column("half_turn", &R::half_turn));
   }
 };
 
-// One row per deposit in a drift gap: a piece of a delta electron's path, or an ionization cluster.
-struct Steps {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> particle, layer;
-  std::vector<double> x, y, z, dx, dy, dz;  // mm, middle, and end minus begin
-  std::vector<double> energy;               // keV
-  std::vector<std::int32_t> electrons;
-  std::vector<std::int8_t> parent;  // 0: the particle, 1: a delta electron
-  std::vector<std::int32_t> delta;  // number of the delta electron in the crossing, from 1
-  std::vector<std::int64_t> truth;  // row of the crossing
+// A deposit in a drift gap: a piece of a delta electron's path, or an ionization cluster.
+struct StepRow {
+  std::int64_t event;
+  std::int32_t particle, layer;
+  double x, y, z, dx, dy, dz;  // mm, middle, and end minus begin
+  double energy;               // keV
+  std::int32_t n_electrons;
+  std::int8_t parent;  // 0: the particle, 1: a delta electron
+  std::int32_t delta;  // number of the delta electron in the crossing, from 1
+  std::int64_t truth;  // row of the crossing
 
-  void append(const ParticleNumber& who, std::int32_t in_layer, const Deposit& deposit,
-              std::int64_t in_truth);
-  template <class F>
-  void each_column(F&& f) {
-    f("event", event), f("particle", particle), f("layer", layer);
-    f("x", x), f("y", y), f("z", z), f("dx", dx), f("dy", dy), f("dz", dz), f("energy", energy);
-    f("n_electrons", electrons), f("parent", parent), f("delta", delta), f("truth", truth);
+  static constexpr auto columns() {
+    using R = StepRow;
+    return std::tuple(Column("event", &R::event), Column("particle", &R::particle),
+                      Column("layer", &R::layer), Column("x", &R::x), Column("y", &R::y), Column("z", &R::z),
+                      Column("dx", &R::dx), Column("dy", &R::dy), Column("dz", &R::dz),
+                      Column("energy", &R::energy), Column("n_electrons", &R::n_electrons),
+                      Column("parent", &R::parent), Column("delta", &R::delta), Column("truth", &R::truth));
   }
 };
 
-// One row per drift cell that a particle crosses.
-struct WireTruths {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> particle, layer, wire, daughter;
-  std::vector<double> doca;  // mm, signed
-  std::vector<std::int8_t> side, half_turn;
-  std::vector<double> x, y, z, time;  // closest point on the track
+// A drift cell that a particle crosses.
+struct WireTruthRow {
+  std::int64_t event;
+  std::int32_t particle, layer, wire;
+  double doca;  // mm, signed
+  std::int8_t side;
+  double x, y, z, time;  // closest point on the track
+  std::int32_t daughter;
+  std::int8_t half_turn;
 
-  template <class F>
-  void each_column(F&& f) {
-    f("event", event), f("particle", particle), f("layer", layer), f("wire", wire), f("doca", doca);
-    f("side", side), f("x", x), f("y", y), f("z", z), f("time", time), f("daughter", daughter);
-    f("half_turn", half_turn);
+  static constexpr auto columns() {
+    using R = WireTruthRow;
+    return std::tuple(Column("event", &R::event), Column("particle", &R::particle),
+                      Column("layer", &R::layer), Column("wire", &R::wire), Column("doca", &R::doca),
+                      Column("side", &R::side), Column("x", &R::x), Column("y", &R::y), Column("z", &R::z),
+                      Column("time", &R::time), Column("daughter", &R::daughter),
+                      Column("half_turn", &R::half_turn));
   }
 };
 
-// One row per charged daughter of a decay.
-struct Decays {
-  std::vector<std::int64_t> event;
-  std::vector<std::int32_t> particle, daughter, parent, pdg, mode;
-  std::vector<double> x, y, z, time;                    // mm, ns
-  std::vector<double> parent_px, parent_py, parent_pz;  // GeV/c, at the decay
-  std::vector<double> px, py, pz;                       // GeV/c, of the daughter
-  std::vector<std::int8_t> status;
+// A charged daughter of a decay.
+struct DecayRow {
+  std::int64_t event;
+  std::int32_t particle, daughter, parent, pdg, mode;
+  double x, y, z, time;                    // mm, ns
+  double parent_px, parent_py, parent_pz;  // GeV/c, at the decay
+  double px, py, pz;                       // GeV/c, of the daughter
+  TransportStatus status;
 
-  void append(const Daughter& one, std::int32_t number);
-  template <class F>
-  void each_column(F&& f) {
-    f("event", event), f("particle", particle), f("daughter", daughter), f("parent", parent), f("pdg", pdg);
-    f("mode", mode), f("x", x), f("y", y), f("z", z), f("time", time), f("parent_px", parent_px);
-    f("parent_py", parent_py), f("parent_pz", parent_pz), f("px", px), f("py", py), f("pz", pz);
-    f("status", status);
+  static constexpr auto columns() {
+    using R = DecayRow;
+    return std::tuple(
+        Column("event", &R::event), Column("particle", &R::particle), Column("daughter", &R::daughter),
+        Column("parent", &R::parent), Column("pdg", &R::pdg), Column("mode", &R::mode), Column("x", &R::x),
+        Column("y", &R::y), Column("z", &R::z), Column("time", &R::time), Column("parent_px", &R::parent_px),
+        Column("parent_py", &R::parent_py), Column("parent_pz", &R::parent_pz), Column("px", &R::px),
+        Column("py", &R::py), Column("pz", &R::pz), Column("status", &R::status));
   }
 };
-
-template <class Table>
-void reserve_rows(Table& table, std::size_t n) {
-  table.each_column([n](const char*, auto& column) { column.reserve(n); });
-}
-template <class Table>
-void resize_rows(Table& table, std::size_t n) {
-  table.each_column([n](const char*, auto& column) { column.resize(n); });
-}
 
 }  // namespace cgemit

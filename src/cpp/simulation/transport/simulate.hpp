@@ -34,10 +34,10 @@ struct ParticleColumns {
 };
 
 struct Simulated {
-  Truths truths;
-  Steps steps;
-  WireTruths wire_truths;
-  Decays decays;
+  Columns<TruthRow> truths;
+  Columns<StepRow> steps;
+  Columns<WireTruthRow> wire_truths;
+  Columns<DecayRow> decays;
   std::vector<TransportStatus> status;  // one per particle
 };
 

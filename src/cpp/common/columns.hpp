@@ -1,0 +1,84 @@
+// Tables as one vector per column. A struct `Row` names its columns once, in order:
+//   static constexpr auto columns() { return std::tuple(Column("event", &Row::event), ...); }
+#pragma once
+
+#include <cstddef>
+#include <tuple>
+#include <type_traits>
+#include <vector>
+
+namespace cgemit {
+
+template <class Row, class Value>
+struct Column {
+  const char* name;
+  Value Row::* value;
+
+  // Enums are kept as their numbers.
+  static auto entry() {
+    if constexpr (std::is_enum_v<Value>)
+      return std::underlying_type_t<Value>{};
+    else
+      return Value{};
+  }
+  using Values = std::vector<decltype(entry())>;
+};
+template <class Row, class Value>
+Column(const char*, Value Row::*) -> Column<Row, Value>;
+
+template <class Row>
+class Columns {
+ public:
+  // Place of the next row, which is there once `keep` is called. Filling it saves a copy.
+  Row& next() { return waiting_[n_waiting_]; }
+  void keep() {
+    if (++n_waiting_ == block) write();
+  }
+  void push_back(const Row& row) {
+    next() = row;
+    keep();
+  }
+  std::size_t size() const { return n_written_ + n_waiting_; }
+  void reserve(std::size_t n) {
+    each([n](const auto&, auto& values) { values.reserve(n); });
+  }
+  // Calls a function with the name and the values of every column.
+  template <class F>
+  void each_column(F&& f) {
+    write();
+    each([&f](const auto& column, auto& values) { f(column.name, values); });
+  }
+
+ private:
+  static constexpr std::size_t block = 64;  // rows that wait together: one loop for each column
+
+  void write() {
+    each([this](const auto& column, auto& values) {
+      values.resize(n_written_ + n_waiting_);
+      auto* const to = values.data() + n_written_;
+      using Entry = std::remove_reference_t<decltype(*to)>;
+      for (std::size_t i = 0; i < n_waiting_; ++i) to[i] = static_cast<Entry>(waiting_[i].*column.value);
+    });
+    n_written_ += n_waiting_;
+    n_waiting_ = 0;
+  }
+
+  template <class F>
+  void each(F&& f) {
+    std::apply(
+        [&](const auto&... column) {
+          std::apply([&](auto&... values) { (f(column, values), ...); }, values_);
+        },
+        Row::columns());
+  }
+  template <class... C>
+  static std::tuple<typename C::Values...> empty(const std::tuple<C...>&) {
+    return {};
+  }
+
+  decltype(empty(Row::columns())) values_;
+  std::vector<Row> waiting_ = std::vector<Row>(block);
+  std::size_t n_written_ = 0, n_waiting_ = 0;
+};
+
+}  // namespace cgemit
