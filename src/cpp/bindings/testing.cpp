@@ -520,6 +520,8 @@ void bind_testing(py::module_& core) {
   module.def("share_cloud", &cloud, py::arg("detector"), py::arg("layer"), py::arg("phi"), py::arg("z"),
              py::arg("sigma_x"), py::arg("sigma_z"), py::arg("way"), py::arg("induced"),
              "Charges of a cloud on the strips of both views at the end, and the largest ones before.");
+  module.def("turn_between", &turn_between, py::arg("from_x"), py::arg("from_y"), py::arg("to_x"),
+             py::arg("to_y"), "Angle from one direction to another.");
   module.def("profile_below", &profile_below, py::arg("edge"), py::arg("a"), py::arg("b"), py::arg("sigma"),
              "Part up to an edge of a charge that is uniform from a to b, smeared by a Gaussian.");
   module.def("fit_line", &line_of, py::arg("position"), py::arg("charge"), py::arg("height"),

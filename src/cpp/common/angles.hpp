@@ -20,4 +20,13 @@ inline double positive_angle(double phi) {
   return positive < 2 * pi ? positive : 0.0;  // a tiny negative angle rounds up to 2 pi
 }
 
+// Angle in (-pi, pi] from one direction in the plane to another.
+inline double turn_between(double from_x, double from_y, double to_x, double to_y) {
+  const double across = from_x * to_y - from_y * to_x, along = from_x * to_x + from_y * to_y;
+  if (!(std::abs(across) < 0.05 * along)) return std::atan2(across, along);
+  // Power series of atan: the next term is below 2e-17.
+  const double t = across / along, q = t * t;
+  return t * (1 - q * (1.0 / 3 - q * (1.0 / 5 - q * (1.0 / 7 - q * (1.0 / 9 - q / 11)))));
+}
+
 }  // namespace cgemit

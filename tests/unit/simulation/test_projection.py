@@ -29,6 +29,16 @@ def test_profile_is_a_smeared_line(a: float, b: float, sigma: float) -> None:
         assert _core._testing.profile_below(edge, a, b, sigma) == pytest.approx(exact, abs=1e-6)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-9, -0.03, 0.0499, 0.0501, -1.2, 3.1, -3.1])
+def test_turns_of_all_sizes_are_exact(angle: float) -> None:
+    """Small turns are a power series; both branches give the angle to rounding, in every direction."""
+    for phi in np.linspace(-3, 3, 7):
+        turned = _core._testing.turn_between(
+            78 * np.cos(phi), 78 * np.sin(phi), 83 * np.cos(phi + angle), 83 * np.sin(phi + angle)
+        )
+        assert turned == pytest.approx(angle, rel=1e-15, abs=2e-15)
+
+
 def test_strips_hold_the_deposit() -> None:
     """Without threshold and noise both views hold half of the charge each; positions are unbiased."""
     quiet = ProjectionReadout(threshold=1e-9, noise=0)

@@ -62,16 +62,16 @@ inline void clip(const MeasuringLayer& layer, int sheet, double x, double z, dou
 // that it touches (two at a seam or a sheet's edge).
 inline Pieces unroll(const MeasuringLayer& layer, const Point& entry, const Point& exit) {
   const double from = std::atan2(entry.y, entry.x);
-  const double dx = layer.r_readout * wrap_angle(std::atan2(exit.y, exit.x) - from);
+  const double dx = layer.r_readout * turn_between(entry.x, entry.y, exit.x, exit.y);
   const double phi = from + layer.lorentz_shift / layer.r_readout;
   const double dz = exit.z - entry.z;
-  const double turn = 2 * pi * layer.r_readout;
+  const double whole_turn = 2 * pi * layer.r_readout;
   Pieces pieces;
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     const double x = local_x(layer, sheet, phi);
     clip(layer, sheet, x, entry.z, dx, dz, pieces);
-    if (x + dx >= turn) clip(layer, sheet, x - turn, entry.z, dx, dz, pieces);
-    if (x + dx < 0) clip(layer, sheet, x + turn, entry.z, dx, dz, pieces);
+    if (x + dx >= whole_turn) clip(layer, sheet, x - whole_turn, entry.z, dx, dz, pieces);
+    if (x + dx < 0) clip(layer, sheet, x + whole_turn, entry.z, dx, dz, pieces);
   }
   return pieces;
 }
