@@ -140,19 +140,24 @@ def _row_problems(
 ) -> list[str]:
     """Say which tracks and hits count rows that are not there."""
     view, row = candidate_hits["view"], candidate_hits["row"]
+    n, limits = len(candidates), [len(clusters)] * (HIT_XV + 1)
+    limits[HIT_WIRE] = len(wire_hits)
+    of_candidates = (table["candidate"] for table in (tracks, candidate_hits))
+    if all(_core.outside(numbers, [n]) < 0 for numbers in of_candidates) and _core.outside(row, limits, view) < 0:
+        return []
     of_wire = view == HIT_WIRE
     checks = [
-        ("tracks", "candidate", tracks["candidate"], len(candidates), "rows of candidates", True),
-        ("candidate_hits", "candidate", candidate_hits["candidate"], len(candidates), "rows of candidates", True),
+        ("tracks", "candidate", tracks["candidate"], n, "rows of candidates", True),
+        ("candidate_hits", "candidate", candidate_hits["candidate"], n, "rows of candidates", True),
         ("candidate_hits", "view", view, HIT_XV + 1, "views", True),
         ("candidate_hits", "row", row, len(clusters), "rows of clusters", ~of_wire),
         ("candidate_hits", "row", row, len(wire_hits), "rows of wire_hits", of_wire),
     ]
     problems = []
-    for table, name, values, n, of, where in checks:
-        wrong = np.flatnonzero(((values < 0) | (values >= n)) & where)
+    for table, name, values, limit, of, where in checks:
+        wrong = np.flatnonzero(((values < 0) | (values >= limit)) & where)
         if len(wrong):
             problems.append(
-                f"{table} row {wrong[0]}: {name}: got {values[wrong[0]]}, expected 0 to {n} (excluded), {of}"
+                f"{table} row {wrong[0]}: {name}: got {values[wrong[0]]}, expected 0 to {limit} (excluded), {of}"
             )
     return problems

@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+from cgemit import _core
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.files import new_folder
 from cgemit.base.validate import check_numbers
@@ -303,6 +304,7 @@ def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:
 
 def _chunk(job: Job, first: int, count: int) -> Answer:
     """Return the tables that are kept of some events."""
+    _core.keep_memory()
     if job.source is not None:
         particles = generate(job.source, count, job.seed, first, job.detector)
     else:

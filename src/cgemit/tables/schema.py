@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import _core
 from cgemit.base.errors import did_you_mean
 
 
@@ -468,10 +469,10 @@ def check_columns(
     n_events: int,
     first_event: int,
     events: Array | None = None,
-) -> dict[str, Array]:
-    """Return read-only contiguous columns in schema order with the schema's dtypes, extra columns last.
+) -> tuple[dict[str, Array], Array]:
+    """Return read-only contiguous columns in schema order, extra ones last, and where the rows of each event begin.
 
-    Arrays that fit already are not copied.
+    The columns have the schema's dtypes. Arrays that fit already are not copied.
 
     Raises
     ------
@@ -496,11 +497,23 @@ def check_columns(
             problems.append(f"{name}: {problem}")
         else:
             checked[name] = read_only(array, column.dtype if column else array.dtype)
+    offsets = None
     if "event" in checked:
-        problems += _event_problems(checked["event"], n_events, first_event, events)
-    if problems:
+        offsets = _offsets(checked["event"], n_events, first_event, events)
+        if offsets is None:
+            problems += _event_problems(checked["event"], n_events, first_event, events)
+    if problems or offsets is None:
         raise ValueError(f"the columns do not make a {kind} table:\n  " + "\n  ".join(problems))
-    return checked
+    return checked, read_only(offsets, np.dtype(np.int64))
+
+
+def _offsets(event: Array, n_events: int, first_event: int, events: Array | None) -> Array | None:
+    """Return where the rows of each event begin, (n_events + 1,) int64, or None if there is a problem with them."""
+    if events is None:
+        return _core.event_offsets(event, first_event, n_events)
+    if _event_problems(event, n_events, first_event, events):
+        return None
+    return np.searchsorted(event, np.append(events, events[-1] + 1))
 
 
 def read_only(array: Array, dtype: np.dtype[Any]) -> Array:

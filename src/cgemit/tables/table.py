@@ -200,13 +200,7 @@ class Table:
         events: npt.ArrayLike | None = None,
     ) -> None:
         first_event, gaps = event_range(n_events, first_event, events)
-        checked = check_columns(kind, columns, n_events, first_event, gaps)
-        if gaps is None:
-            edges = np.arange(first_event, first_event + n_events + 1, dtype=np.int64)
-        else:
-            edges = np.append(gaps, gaps[-1] + 1)
-        offsets = np.searchsorted(checked["event"], edges).astype(np.int64, copy=False)
-        offsets.flags.writeable = False
+        checked, offsets = check_columns(kind, columns, n_events, first_event, gaps)
         values = (kind, MappingProxyType(checked), int(n_events), first_event, offsets, dict(meta or {}), gaps)
         names = ("kind", "columns", "n_events", "first_event", "offsets", "meta", "_gaps")
         for name, value in zip(names, values, strict=True):

@@ -14,6 +14,7 @@ void bind_background(pybind11::module_& module);
 void bind_cluster(pybind11::module_& module);
 void bind_hits(pybind11::module_& module);
 void bind_find(pybind11::module_& module);
+void bind_tables(pybind11::module_& module);
 void bind_truth(pybind11::module_& module);
 void bind_fit(pybind11::module_& module);
 void bind_kernels(pybind11::module_& module);
@@ -36,6 +37,7 @@ PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   bind_cluster(module);
   bind_hits(module);
   bind_find(module);
+  bind_tables(module);
   bind_truth(module);
   bind_fit(module);
   bind_kernels(module);

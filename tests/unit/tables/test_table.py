@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cgemit import Gun, RefineSettings, Settings, TigerReadout, Workers, fit_vertices, run
+from cgemit import Gun, RefineSettings, Settings, TigerReadout, Workers, _core, fit_vertices, run
 from cgemit.base.files import new_file
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import ROWS, SCHEMAS, Table, concatenate, load_tables, save_tables, select_events, store
@@ -60,6 +60,32 @@ def test_offsets_point_at_the_rows_of_each_event():
         rows = table["event"][table.offsets[i] : table.offsets[i + 1]]
         assert rows.tolist() == [e for e in events if e == 10 + i]
     assert Table.empty("digis", 2).offsets.tolist() == [0, 0, 0]
+
+
+def test_checks_of_columns_agree_with_numpy():
+    """The compiled checks find what plain numpy finds, in right and in wrong columns."""
+    draws = np.random.default_rng(1)
+    for _ in range(300):
+        first, n = draws.integers(-5, 5), draws.integers(0, 6)
+        event = draws.integers(first - 1, first + n + 1, draws.integers(0, 8))
+        event = np.sort(event) if draws.random() < 0.8 else event
+        offsets = _core.event_offsets(event, first, n)
+        fits = np.all(np.diff(event) >= 0) and np.all((event >= first) & (event < first + n))
+        assert (offsets is not None) == fits
+        if fits:
+            assert offsets.tolist() == np.searchsorted(event, np.arange(first, first + n + 1)).tolist()
+
+        target, mine = draws.integers(0, 3, 4), draws.integers(0, 3, 3)
+        links = draws.integers(-2, 5, 3)
+        strange = [row for row, to in enumerate(links) if to >= 0 and (to >= 4 or target[to] != mine[row])]
+        assert _core.strange_link(links, mine, target) == (strange[0] if strange else -1)
+
+        numbers, kinds, limits = draws.integers(-1, 4, 5), draws.integers(0, 3, 5).astype(np.int8), [4, 3]
+        beyond = [row for row in range(5) if kinds[row] > 1 or not 0 <= numbers[row] < limits[kinds[row]]]
+        assert _core.outside(numbers, limits, kinds) == (beyond[0] if beyond else -1)
+        assert _core.outside(numbers, limits[:1]) == (np.argmin(numbers) if numbers.min() < 0 else -1)
+    with pytest.raises(ValueError, match="0 or more"):
+        _core.event_offsets(np.zeros(1, np.int64), 0, -1)
 
 
 @pytest.mark.parametrize("key", [slice(1, 3), [1, 2], np.array([False, True, True, False])])

@@ -117,17 +117,13 @@ def link_problems(table: Table, link: str, target: Table) -> list[str]:
     -------
     list of str
     """
-    rows = table[link]
-    if rows.max(initial=-1) >= len(target):
+    rows, event = table[link], table["event"]
+    first = _core.strange_link(rows, event, target["event"])
+    if first < 0:
+        return []
+    if rows.max() >= len(target):
         return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
-    if not len(target):
-        return []
-    event, expected = target["event"].take(rows, mode="clip"), table["event"]
-    strange = (event != expected) & (rows >= 0)
-    if not strange.any():
-        return []
-    first = np.argmax(strange)
-    given = f"{table.kind} row {first}, of event {expected[first]}, links to one of event {event[first]}"
+    given = f"{table.kind} row {first}, of event {event[first]}, links to one of event {target['event'][rows[first]]}"
     return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
 
 
@@ -137,9 +133,9 @@ def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> li
     problems = []
     for table, known in ((clusters, range(len(detector.layers))), (wire_hits, wires)):
         layer = table["layer"]
-        there = np.zeros(max(known, default=0) + 2, np.bool_)
+        there = np.zeros(max(known, default=0) + 2, np.bool_)  # the last entry is for any other number
         there[known] = True
-        strange = layer[~there[layer.clip(-1, len(there) - 1)]]  # the last entry is for any other number
+        strange = layer[~(there.take(layer, mode="clip") & (layer >= 0))]
         if len(strange):
             problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
     view = clusters["view"]
@@ -173,13 +169,12 @@ def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
         Increasing row numbers of X and V clusters; clusters without a truth are left out.
     """
     rows = np.flatnonzero((clusters["view"] <= HIT_V) & (clusters["truth"] >= 0))
-    place = clusters["truth"][rows] * 2 + clusters["view"][rows]
-    distance = np.zeros(len(rows))
-    several = np.flatnonzero(np.bincount(place)[place] > 1)
-    distance[several] = _distances(detector, clusters, truths, rows[several])
-    order = np.lexsort((distance, place))
-    first = np.diff(place[order], prepend=-1) != 0
-    return np.sort(rows[order[first]])
+    place = clusters["truth"].take(rows) * 2 + clusters["view"].take(rows)
+    several = np.flatnonzero(np.bincount(place).take(place) > 1)
+    order = several[np.lexsort((_distances(detector, clusters, truths, rows[several]), place[several]))]
+    chosen = np.ones(len(rows), np.bool_)
+    chosen[order[np.diff(place[order], prepend=-1) == 0]] = False  # all but the nearest of each crossing
+    return rows[chosen]
 
 
 def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:

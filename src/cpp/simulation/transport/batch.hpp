@@ -43,7 +43,7 @@ class Batch {
   }
 
  private:
-  static constexpr std::size_t width = lanes_of<T>, most_seats = 32, most_rows = 256;
+  static constexpr std::size_t width = lanes_of<T>, most_seats = 256, most_rows = 1024;
 
   // Particles that are simulated side by side.
   template <class N>

@@ -1,0 +1,87 @@
+// Checks of the columns of tables, in one pass each, and the memory that they come from.
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <cstdlib>
+#if defined(__GLIBC__)
+#include <malloc.h>
+#endif
+
+#include <algorithm>
+#include <optional>
+
+#include "bindings/arrays.hpp"
+
+namespace py = pybind11;
+using namespace cgemit::bindings;
+
+namespace {
+
+// Rows offsets[i] to offsets[i + 1] belong to event first + i; none unless the events are in order and
+// `first` to first + n - 1.
+std::optional<py::array_t<std::int64_t>> event_offsets(const Array<std::int64_t>& events, std::int64_t first,
+                                                       std::int64_t n) {
+  const auto event = column(events, "event");
+  if (n < 0) throw std::invalid_argument("n: got " + std::to_string(n) + ", expected 0 or more");
+  std::vector<std::int64_t> offsets(static_cast<std::size_t>(n) + 1);
+  auto next = offsets.begin();
+  std::int64_t last = first - 1;
+  for (std::size_t row = 0; row < event.size(); ++row) {
+    if (row > 0 && event[row] == last) continue;
+    if (event[row] < last || event[row] < first || event[row] >= first + n) return std::nullopt;
+    next = std::fill_n(next, event[row] - last, static_cast<std::int64_t>(row));
+    last = event[row];
+  }
+  std::fill(next, offsets.end(), static_cast<std::int64_t>(event.size()));
+  return to_numpy(std::move(offsets));
+}
+
+// First row that links to a row of another event or to one that is not there, -1 if there is none; negative
+// links are none.
+std::int64_t strange_link(const Array<std::int64_t>& links, const Array<std::int64_t>& events,
+                          const Array<std::int64_t>& of_target) {
+  const auto link = column(links, "links"), event = column(events, "event", links.size()),
+             target = column(of_target, "target");
+  for (std::size_t row = 0; row < link.size(); ++row) {
+    if (link[row] < 0) continue;
+    const auto to = static_cast<std::size_t>(link[row]);
+    if (to >= target.size() || target[to] != event[row]) return static_cast<std::int64_t>(row);
+  }
+  return -1;
+}
+
+// First row whose number is not below the limit of its kind, or is negative; -1 if there is none.
+std::int64_t outside(const Array<std::int64_t>& numbers, const std::vector<std::int64_t>& limits,
+                     const std::optional<Array<std::int8_t>>& kinds) {
+  const auto number = column(numbers, "numbers");
+  const auto kind = kinds ? column(*kinds, "kinds", numbers.size()) : std::span<const std::int8_t>();
+  for (std::size_t row = 0; row < number.size(); ++row) {
+    const auto of = kinds ? static_cast<std::size_t>(kind[row]) : 0;
+    if (of >= limits.size() || number[row] < 0 || number[row] >= limits[of])
+      return static_cast<std::int64_t>(row);
+  }
+  return -1;
+}
+
+// Lets glibc keep the memory of a chunk of events for the next one, at once as much as it would keep by
+// itself after large blocks have been freed. A page that the system gives anew costs as much as writing it
+// ten times.
+void keep_memory() {
+#if defined(__GLIBC__)
+  [[maybe_unused]] static const bool once =
+      mallopt(M_MMAP_THRESHOLD, 32 << 20) != 0 && mallopt(M_TRIM_THRESHOLD, 64 << 20) != 0;
+#endif
+}
+
+}  // namespace
+
+void bind_tables(py::module_& module) {
+  module.def("keep_memory", &keep_memory, "Let the process keep freed memory for the next tables.");
+  module.def(
+      "event_offsets", &event_offsets, py::arg("event"), py::arg("first"), py::arg("n"),
+      "Where the rows of each event begin, and their number; None unless events increase in the range.");
+  module.def("strange_link", &strange_link, py::arg("links"), py::arg("event"), py::arg("target"),
+             "First row that links to a row of another event, or to none of the target; -1 none.");
+  module.def("outside", &outside, py::arg("numbers"), py::arg("limits"), py::arg("kinds") = py::none(),
+             "First row whose number is not from 0 to the limit of its kind, excluded; -1 none.");
+}
