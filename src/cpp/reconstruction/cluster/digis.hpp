@@ -28,11 +28,14 @@ struct DigiView {
   auto sheet_of(std::size_t i) const { return std::tuple(event[i], layer[i], sheet[i]); }
 };
 
-// Throws std::invalid_argument, naming the first row of `digis` with a number that is out of range.
-inline void expect(std::size_t row, const char* what, std::int32_t value, std::int32_t count) {
-  if (value >= 0 && value < count) return;
+[[noreturn]] inline void refuse(std::size_t row, const char* what, std::int32_t value, std::int32_t count) {
   throw std::invalid_argument("digis row " + std::to_string(row) + ": " + what + " " + std::to_string(value) +
                               ", expected 0 to " + std::to_string(count - 1));
+}
+
+// Throws std::invalid_argument, naming the first row of `digis` with a number that is out of range.
+inline void expect(std::size_t row, const char* what, std::int32_t value, std::int32_t count) {
+  if (value < 0 || value >= count) refuse(row, what, value, count);
 }
 
 // Checks the layer, sheet and view of a digi, and returns its layer.

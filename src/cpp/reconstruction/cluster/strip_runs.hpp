@@ -37,6 +37,11 @@ inline void check(const DigiView& digis, const Detector& detector) {
   }
 }
 
+inline bool of_one_truth(const DigiView& digis, StripRun rows) {
+  const std::int64_t truth = digis.truth[rows.front()];
+  return std::ranges::all_of(rows, [&](std::size_t row) { return digis.truth[row] == truth; });
+}
+
 // The truth with most of the cluster's charge, from the largest truth that each digi names.
 inline std::int64_t largest_truth(const DigiView& digis, StripRun rows) {
   std::int64_t largest = digis.truth[rows.front()];
@@ -79,8 +84,14 @@ inline ClusterRow row_of_run(const MeasuringLayer& layer, const DigiView& digis,
     cluster.time = std::min(cluster.time, digis.time[rows.rows[i]]);
   }
   cluster.r = layer.r_mid();
-  cluster.truth = largest_truth(digis, rows);
-  cluster.n_truths = count_truths(digis, rows);
+  if (of_one_truth(digis, rows)) {
+    cluster.truth = digis.truth[front];
+    for (const std::size_t row : rows) cluster.n_truths = std::max(cluster.n_truths, digis.n_truths[row]);
+    cluster.n_truths = std::max(cluster.n_truths, 1);
+  } else {
+    cluster.truth = largest_truth(digis, rows);
+    cluster.n_truths = count_truths(digis, rows);
+  }
   return cluster;
 }
 

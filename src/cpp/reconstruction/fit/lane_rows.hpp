@@ -40,26 +40,45 @@ template <class T>
 void write_state(FitRow& row, const FilteredState<T>& state, int i, FitStatus status) {
   row.status = status;
   row.chi2 = lane(state.chi2, i);
-  row.clusters = row.wires = row.outliers = 0;
   write_covariance(state.c, i, row.covariance);
 }
 
-// A hit that the track does not meet is left out, too. It has no residual.
+// Counts the hits of each track. One that the track does not meet is left out, too.
+template <class T>
+void count_hits(std::span<const FitLane> lanes, const Group<T>& group, mask_of<T> who) {
+  std::array<int, static_cast<std::size_t>(lanes_of<T>)> hits{};
+  T wires(0.0), clusters(0.0);
+  for (const Slot<T>& slot : group.slots) {
+    for (std::size_t k = 0; k < hits.size(); ++k) hits[k] += slot.hit[k] >= 0;
+    T& used = slot.view == View::wire ? wires : clusters;
+    used += select(slot.used, T(1.0), T(0.0));
+  }
+  for (std::size_t k = 0; k < lanes.size(); ++k) {
+    const int i = static_cast<int>(k);
+    if (!lane(who, i)) continue;
+    FitRow& row = *lanes[k].rows;
+    row.wires = static_cast<int>(lane(wires, i));
+    row.clusters = static_cast<int>(lane(clusters, i));
+    row.outliers = hits[k] - row.wires - row.clusters;
+  }
+}
+
+// A hit that the track does not meet has no residual.
 template <class T>
 void write_hit(const FitLane& to, const Slot<T>& slot, std::size_t k) {
   const int i = static_cast<int>(k);
-  const bool used = lane(slot.used, i);
-  ++(!used ? to.rows->outliers : slot.view == View::wire ? to.rows->wires : to.rows->clusters);
-  if (to.hits == nullptr || !lane(slot.met, i)) return;
+  if (!lane(slot.met, i)) return;
   const double weight = lane(slot.weight, i);
   to.hits[slot.hit[k]] = {lane(slot.unbiased, i), std::sqrt(lane(slot.unbiased_variance, i)),
                           static_cast<std::int8_t>(weight > 0 ? 1 : (weight < 0 ? -1 : 0)),
-                          static_cast<std::uint8_t>(used)};
+                          static_cast<std::uint8_t>(lane(slot.used, i))};
   if (to.measured != nullptr) to.measured[slot.hit[k]] = {lane(slot.value, i), lane(slot.variance, i)};
 }
 
 template <class T>
 void write_hits(std::span<const FitLane> lanes, const Group<T>& group, mask_of<T> who) {
+  count_hits(lanes, group, who);
+  if (lanes.front().hits == nullptr) return;
   for (const Slot<T>& slot : group.slots) {
     for (std::size_t k = 0; k < lanes.size(); ++k)
       if (slot.hit[k] >= 0 && lane(who, static_cast<int>(k))) write_hit(lanes[k], slot, k);
