@@ -17,6 +17,19 @@ using namespace cgemit::bindings;
 
 namespace {
 
+// First row from `row` on whose event is another one.
+std::size_t skip(std::span<const std::int64_t> event, std::size_t row, std::int64_t one) {
+  constexpr std::size_t block = 8;
+  const auto differs = [&](std::size_t from) {
+    std::int64_t bits = 0;
+    for (std::size_t k = from; k < from + block; ++k) bits |= event[k] ^ one;
+    return bits != 0;
+  };
+  while (row + block <= event.size() && !differs(row)) row += block;
+  while (row < event.size() && event[row] == one) ++row;
+  return row;
+}
+
 // Rows offsets[i] to offsets[i + 1] belong to event first + i; none unless the events are in order and
 // `first` to first + n - 1.
 std::optional<py::array_t<std::int64_t>> event_offsets(const Array<std::int64_t>& events, std::int64_t first,
@@ -26,8 +39,7 @@ std::optional<py::array_t<std::int64_t>> event_offsets(const Array<std::int64_t>
   std::vector<std::int64_t> offsets(static_cast<std::size_t>(n) + 1);
   auto next = offsets.begin();
   std::int64_t last = first - 1;
-  for (std::size_t row = 0; row < event.size(); ++row) {
-    if (row > 0 && event[row] == last) continue;
+  for (std::size_t row = 0; row < event.size(); row = skip(event, row, last)) {
     if (event[row] < last || event[row] < first || event[row] >= first + n) return std::nullopt;
     next = std::fill_n(next, event[row] - last, static_cast<std::int64_t>(row));
     last = event[row];

@@ -18,7 +18,7 @@ struct Fired {
 
 // Shares `charge` among the strips that the projected segment touches; charge off the active area is lost.
 void share(const MeasuringLayer& layer, const Point& from, const Point& to, double charge, Contribution strip,
-           std::vector<Contribution>& out) {
+           Contributions& out) {
   const Pieces pieces = unroll(layer, from, to);
   std::array<Fired, most_sheets + 1> fired;
   int n_x = 0, n_v = 0;
@@ -32,17 +32,17 @@ void share(const MeasuringLayer& layer, const Point& from, const Point& to, doub
     strip.sheet = fired[k].sheet;
     strip.view = 0;
     strip.charge = 0.5 * charge / n_x;
-    append(layer, strip, fired[k].x, out);
+    out.add(layer, strip, fired[k].x);
     strip.view = 1;
     strip.charge = 0.5 * charge / n_v;
-    append(layer, strip, fired[k].v, out);
+    out.add(layer, strip, fired[k].v);
   }
 }
 
 // Reads out one truth with its steps [begin, end).
 void read_out(const MeasuringLayer& layer, const TruthColumns& truths, std::size_t row,
               const StepColumns& steps, std::size_t begin, std::size_t end, double per_energy,
-              std::vector<Contribution>& out) {
+              Contributions& out) {
   Contribution strip{};
   strip.layer = truths.layer[row];
   strip.time = truths.time[row];
@@ -70,11 +70,11 @@ Columns<DigiRow> read_out_strips(const Detector& detector, const TruthColumns& t
   check(steps, truths, detector);
   Columns<DigiRow> digis;
   digis.reserve(8 * truths.size());
-  Contributions all;
+  Contributions parts;
   std::size_t step = 0;  // truths and steps have the same order
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
-    all.parts.clear();
+    parts.clear();
     for (std::size_t row = begin; row < end; ++row) {
       const std::size_t first = step;
       while (step < steps.size() && steps.truth[step] == static_cast<std::int64_t>(row)) ++step;
@@ -82,9 +82,9 @@ Columns<DigiRow> read_out_strips(const Detector& detector, const TruthColumns& t
       const double per_energy = charge_per_energy(readout.gain, readout.w_values[layer]) *
                                 gains.at(detector, layer, truths.phi[row], truths.z[row]);
       if (truths.energy[row] * per_energy < readout.threshold) continue;
-      read_out(detector.layers[layer], truths, row, steps, first, step, per_energy, all.parts);
+      read_out(detector.layers[layer], truths, row, steps, first, step, per_energy, parts);
     }
-    all.write(truths.event[begin], digis, [](DigiRow&) { return true; });
+    parts.write(truths.event[begin], digis, [](DigiRow&) { return true; });
   }
   return digis;
 }

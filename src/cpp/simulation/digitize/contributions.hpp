@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "detector/detector.hpp"
+#include "detector/strip_maps.hpp"
 #include "simulation/digitize/digis.hpp"
 #include "simulation/digitize/strips.hpp"
 
@@ -21,26 +21,35 @@ struct Contribution {
   std::int64_t truth;
 };
 
-inline void append(const MeasuringLayer& layer, const Contribution& each, StripRange range,
-                   std::vector<Contribution>& out) {
-  const int sheet_first = layer.gid_first + each.sheet * (layer.strips_x + layer.strips_v);
-  const int view_first = sheet_first + (each.view == 0 ? 0 : layer.strips_x);
-  for (int strip = range.first; strip <= range.last; ++strip) {
-    out.push_back(
-        {view_first + strip, each.layer, each.sheet, each.view, strip, each.charge, each.time, each.truth});
-  }
-}
-
-// The contributions of an event, listed by truth.
+// The contributions of an event; those of a truth come one after the other.
 class Contributions {
  public:
-  std::vector<Contribution> parts;
+  void clear() {
+    parts_.clear();
+    first_ = 0;
+  }
+
+  // Adds charge to each strip of a range.
+  void add(const MeasuringLayer& layer, Contribution each, StripRange range) {
+    if (parts_.empty() || parts_.back().truth != each.truth) first_ = parts_.size();
+    each.strip = range.first;
+    each.gid = gid_of(layer, each.sheet, each.view, each.strip);
+    for (; each.strip <= range.last; ++each.strip, ++each.gid) {
+      // A delta electron fires a few strips many times.
+      const auto own = std::find_if(parts_.begin() + static_cast<std::ptrdiff_t>(first_), parts_.end(),
+                                    [&](const Contribution& part) { return part.gid == each.gid; });
+      if (own == parts_.end())
+        parts_.push_back(each);
+      else
+        own->charge += each.charge;
+    }
+  }
 
   // Appends the digis that `accept` takes; it may change them.
   template <class Accept>
   void write(std::int64_t event, Columns<DigiRow>& digis, Accept&& accept) {
     order_.clear();
-    for (const Contribution& part : parts)
+    for (const Contribution& part : parts_)
       order_.push_back(static_cast<std::uint64_t>(part.gid) << 32 | order_.size());
     // Without delta electrons they are in order already.
     if (!std::ranges::is_sorted(order_)) std::ranges::sort(order_);
@@ -54,7 +63,7 @@ class Contributions {
   }
 
  private:
-  const Contribution& part(std::uint64_t place) const { return parts[place & 0xFFFFFFFF]; }
+  const Contribution& part(std::uint64_t place) const { return parts_[place & 0xFFFFFFFF]; }
 
   // Makes the digi of a strip.
   void sum_up(std::int64_t event, std::span<const std::uint64_t> places, DigiRow& digi) const {
@@ -67,17 +76,12 @@ class Contributions {
     digi.gid = first.gid;
     digi.charge = 0;
     digi.time = first.time;
-    digi.n_truths = 0;
-    double of_truth = 0, largest = -1;
-    std::int64_t before = -1;
+    digi.n_truths = static_cast<std::int32_t>(places.size());
+    double largest = -1;
     for (const std::uint64_t place : places) {
       const Contribution& one = part(place);
-      const bool new_truth = one.truth != before;
-      before = one.truth;
-      digi.n_truths += new_truth;
-      of_truth = one.charge + (new_truth ? 0 : of_truth);
-      if (of_truth > largest) {
-        largest = of_truth;
+      if (one.charge > largest) {
+        largest = one.charge;
         digi.truth = one.truth;
       }
       digi.charge += one.charge;
@@ -85,7 +89,9 @@ class Contributions {
     }
   }
 
-  std::vector<std::uint64_t> order_;  // strip, then number in `parts`
+  std::vector<Contribution> parts_;
+  std::size_t first_ = 0;             // where those of the last truth begin
+  std::vector<std::uint64_t> order_;  // strip, then number in `parts_`
 };
 
 }  // namespace cgemit

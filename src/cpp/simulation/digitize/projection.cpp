@@ -37,7 +37,7 @@ void share_profile(double from, double to, double sigma, int strips, Give&& give
 
 // Shares the charge of a segment, half to each view; its pieces take it in proportion to their lengths.
 void share(const MeasuringLayer& layer, const Point& from, const Point& to, double charge, double sigma,
-           Contribution strip, std::vector<Contribution>& out) {
+           Contribution strip, Contributions& out) {
   const Pieces pieces = unroll(layer, from, to);
   const double whole = std::hypot(layer.r_readout * turn_between(from.x, from.y, to.x, to.y), to.z - from.z);
   for (int k = 0; k < pieces.n; ++k) {
@@ -46,7 +46,7 @@ void share(const MeasuringLayer& layer, const Point& from, const Point& to, doub
     strip.sheet = piece.sheet;
     const auto give = [&](int number, double share_of_strip) {
       strip.charge = 0.5 * charge * part * share_of_strip;
-      if (strip.charge > 0) append(layer, strip, {number, number}, out);
+      if (strip.charge > 0) out.add(layer, strip, {number, number});
     };
     strip.view = 0;
     share_profile(strips_of_x(layer, piece.x1), strips_of_x(layer, piece.x2), sigma / layer.pitch_x,
@@ -66,11 +66,11 @@ Columns<DigiRow> read_out_profiles(const Detector& detector, const TruthColumns&
   check(truths, detector);
   check(steps, truths, detector);
   Columns<DigiRow> digis;
-  Contributions all;
+  Contributions parts;
   std::size_t step = 0;  // truths and steps have the same order
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     end = event_end(truths.event, begin);
-    all.parts.clear();
+    parts.clear();
     for (std::size_t row = begin; row < end; ++row) {
       const auto number = static_cast<std::size_t>(truths.layer[row]);
       const double per_energy = charge_per_energy(readout.gain, readout.w_values[number]);
@@ -85,14 +85,14 @@ Columns<DigiRow> read_out_profiles(const Detector& detector, const TruthColumns&
         const Point at = steps.end(step, 0);
         const double gain = gains.at(detector, number, std::atan2(at.y, at.x), at.z);
         share(detector.layers[number], steps.end(step, -0.5), steps.end(step, 0.5),
-              gain * steps.energy[step] * per_energy, readout.sigma, strip, all.parts);
+              gain * steps.energy[step] * per_energy, readout.sigma, strip, parts);
       }
       const double gain = gains.at(detector, number, truths.phi[row], truths.z[row]);
       share(detector.layers[number], truths.entry_point(row), truths.exit_point(row),
-            gain * std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, all.parts);
+            gain * std::max(of_particle, 0.0) * per_energy, readout.sigma, strip, parts);
     }
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[begin]), 0);
-    all.write(truths.event[begin], digis, [&](DigiRow& digi) {
+    parts.write(truths.event[begin], digis, [&](DigiRow& digi) {
       const auto gid = static_cast<std::uint32_t>(digi.gid);
       digi.charge += readout.noise * stream.normals(Purpose::readout_strip, gid)[0];
       return digi.charge > readout.threshold;

@@ -129,7 +129,7 @@ Columns<WireHitRow> read_out_wires(const Detector& detector, const WireTruthColu
     for (end = begin; end < truths.size() && truths.event[end] == truths.event[begin];) ++end;
     for (std::size_t row = begin; row < end; row += lanes)
       fire(detector, index, truths, row, std::min(lanes, end - row), readout, times, fired);
-    std::sort(fired.begin(), fired.end());
+    if (!std::ranges::is_sorted(fired, std::less<>())) std::sort(fired.begin(), fired.end());
     for (std::size_t i = 0; i < fired.size(); ++i) {
       const FiredCell& cell = fired[i];
       if (i > 0 && cell.gid == fired[i - 1].gid) continue;
