@@ -289,6 +289,7 @@ def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:
     timings : dict of str to float, s
         Wall time of each stage.
     """
+    _core.keep_memory()
     tables: Tables = {}
     seconds: defaultdict[str, float] = defaultdict(float)
     start = time.perf_counter()
@@ -304,7 +305,6 @@ def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:
 
 def _chunk(job: Job, first: int, count: int) -> Answer:
     """Return the tables that are kept of some events."""
-    _core.keep_memory()
     if job.source is not None:
         particles = generate(job.source, count, job.seed, first, job.detector)
     else:
