@@ -122,6 +122,7 @@ def choose() -> None:
     if wanted and wanted not in available():
         raise ValueError(f"{VARIABLE}: {wanted!r}, expected one of {', '.join(available())}")
     use(wanted or available()[-1])
+    _core.keep_memory()
 
 
 def _library(isa: str) -> Path:

@@ -11,7 +11,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from cgemit import _core
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.files import new_folder
 from cgemit.base.validate import check_numbers
@@ -289,7 +288,6 @@ def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:
     timings : dict of str to float, s
         Wall time of each stage.
     """
-    _core.keep_memory()
     tables: Tables = {}
     seconds: defaultdict[str, float] = defaultdict(float)
     start = time.perf_counter()
