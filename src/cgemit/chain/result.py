@@ -387,15 +387,26 @@ class TrackColumns:
 
 
 def track_columns(given: Result | Table) -> Table | TrackColumns:
-    """Return the tracks of a result, or a table of tracks, by columns; raises as `tracks_of`.
+    """Return the tracks of a result, or a table of tracks with their truth, by columns.
 
     Parameters
     ----------
     given : Result or Table of kind "tracks"
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `tracks_of`, or if the table does not say what is true.
     """
     if isinstance(given, Result) and "tracks" in given.tables:
         return TrackColumns(given)
-    return tracks_of(given)
+    tracks = tracks_of(given)
+    if "res_dr" not in tracks:
+        raise ValueError(
+            "tracks: got none with truth (res_dr, pull_dr ...), expected those of a run; cg.match compares fitted "
+            "tracks with particles"
+        )
+    return tracks
 
 
 def tracks_of(given: Result | Table) -> Table:

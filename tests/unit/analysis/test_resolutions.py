@@ -110,6 +110,15 @@ def test_tracks_are_those_of_a_result_or_of_a_table():
             study(None)
 
 
+def test_tracks_without_truth_say_so():
+    """Tracks that a fit alone made have neither residuals nor pulls."""
+    r = cg.run("besiii-cgem", Gun("mu-", p=1.0, cos_theta=0.0), n=5)
+    fitted = cg.fit(r.detector, r.clusters, r.wire_hits, r.candidates, r.candidate_hits)["tracks"]
+    for use in (pulls, lambda tracks: resolution(tracks, "dr"), resolutions):
+        with pytest.raises(ValueError, match=r"got none with truth .*, expected those of a run"):
+            use(fitted)
+
+
 def test_pulls_of_right_and_wrong_errors():
     """Right pulls have mean 0 and width 1 in every parameter; errors wrong by 5 % or a bias of 0.05 are seen."""
     wrong = 1.05 * rng(9).standard_normal(N)
