@@ -14,6 +14,8 @@ struct Column {
   const char* name;
   Value Row::* value;
 
+  constexpr Column(const char* of_table, Value Row::* of_row) : name(of_table), value(of_row) {}
+
   // Enums are kept as their numbers.
   static auto entry() {
     if constexpr (std::is_enum_v<Value>)
@@ -23,8 +25,6 @@ struct Column {
   }
   using Values = std::vector<decltype(entry())>;
 };
-template <class Row, class Value>
-Column(const char*, Value Row::*) -> Column<Row, Value>;
 
 template <class Row>
 class Columns {
