@@ -15,8 +15,9 @@ import cgemit as cg
 from cgemit.detector import slabs
 from pages.geant4 import read
 from pages.page import Found, Page, table
-from pages.performance import designs, fits, operations, peers, simulation, stages
+from pages.performance import designs, fits, operations, peers, scaling, simulation, stages
 from pages.performance.fits import FieldCost
+from pages.performance.scaling import TIMES, Growth, exponent
 from pages.performance.stages import CHAIN, Chain, Cost
 from pages.performance.timing import DETECTOR
 
@@ -46,6 +47,22 @@ def _covariances(rows: Sequence[fits.OneCovariance]) -> str:
     head += ["fit, two iterations", "fit / track of a point"]
     return table(head, [[row.isa, f"{row.alone_us:.2f}", f"{row.of_a_point_us:.2f}", f"{row.gradient:.1f}",
                          f"{row.fit_us:.2f}", f"{row.fit_us / row.of_a_point_us:.2f}"] for row in rows])  # fmt: skip
+
+
+def growths(found: Found) -> dict[str, tuple[list[float], list[float]]]:
+    """Return numbers and times, us, of each key of `TIMES`; events from 1000 on, where the first calls do not count."""
+    rows: list[Growth] = list(found["scaling"].rows)
+    rows += [Growth("events", row.events, row.all) for row in found["chain"].rows if row.events >= 1000]
+    return {what: ([row.n for row in rows if row.what == what], [row.us for row in rows if row.what == what])
+            for what in TIMES}  # fmt: skip
+
+
+def _scaling(found: Found) -> str:
+    lines = []
+    for what, (n, us) in growths(found).items():
+        ends = [f"{one:,}: {time:.3g} µs" for one, time in ((n[0], us[0]), (n[-1], us[-1]))]
+        lines.append([*TIMES[what], *ends, f"{exponent(n, us)[0]:.2f}"])
+    return table(["time", "against", "smallest", "largest", "exponent"], lines)
 
 
 def _memory(rows: Sequence[stages.Memory]) -> str:
@@ -135,6 +152,7 @@ def blocks(found: Found) -> dict[str, str]:
         **curves,
         "variants": _range([row.variant_ms for row in rows["variants"]]),
         "sweeps": f"{', '.join(sweeps[:-1])} and {sweeps[-1]}",
+        "scaling": _scaling(found),
         "memory": _memory(rows["memory"]),
         "limit": f"{rows['stages'][0].limit_gflops:.1f}",
         "operations": _operations(every["operations"], rows["stages"]),
@@ -196,6 +214,27 @@ def draw_chain(found: Found) -> Figure:
     return figure
 
 
+def draw_scaling(found: Found) -> Figure:
+    """Draw times against tracks and wire layers, with their power laws."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.2, 3.8), dpi=100)
+    for plot, what, colour in zip(axes, ("tracks", "layers"), COLOURS[2:], strict=False):
+        n, us = growths(found)[what]
+        power, start = exponent(n, us)
+        plot.plot(n, us, "o", color=colour, label="measured")
+        plot.plot(
+            n, start * np.array(n, float) ** power, color=colour, lw=1.2, label=f"power law, exponent {power:.2f}"
+        )
+        time, against = TIMES[what]
+        plot.set(xscale="log", yscale="log", xlabel=against, ylabel=f"{time}, µs")
+        plot.set_xticks(n, [str(one) for one in n])
+        plot.xaxis.set_minor_formatter(NullFormatter())
+        _plain_numbers(plot)
+        plot.grid(alpha=0.3)
+        plot.legend(frameon=False)
+    figure.tight_layout()
+    return figure
+
+
 PAGE = Page(
     "performance",
     "docs/performance.md",
@@ -207,6 +246,7 @@ PAGE = Page(
         "curves": (fits.CurveCost, fits.measure_curves),
         "fit_fields": (FieldCost, fits.measure_fields),
         "chain": (Chain, stages.measure_chain),
+        "scaling": (Growth, scaling.measure),
         "memory": (stages.Memory, stages.measure_memory),
         "simulation": (simulation.CaseCost, simulation.measure_cases),
         "simulation_fields": (FieldCost, simulation.measure_fields),
@@ -217,5 +257,9 @@ PAGE = Page(
         "peers": (peers.Peer, peers.measure),
     },
     blocks,
-    {"performance-stages.png": draw_stages, "performance-tracks.png": draw_chain},
+    {
+        "performance-stages.png": draw_stages,
+        "performance-tracks.png": draw_chain,
+        "performance-scaling.png": draw_scaling,
+    },
 )

@@ -53,6 +53,7 @@ def test_calls_of_all_functions_that_take_numbers_are_recorded(calls: dict[str, 
     no_numbers = {
         "hit_problems",
         "isa",
+        "keep_memory",
         "lanes",
         "processor_runs",
         "same_surfaces",

@@ -14,7 +14,7 @@ from cgemit.detector import load
 from cgemit.detector.readouts import Apv25Readout, TigerReadout
 from cgemit.simulation.digitize import digitizer_of
 from pages.page import MissingToolError, Numbers, Page
-from pages.performance import PAGE, operations, simulation, stages
+from pages.performance import PAGE, operations, scaling, simulation, stages
 from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
 
 # As callgrind writes it: names are spelled out once, also where a function of another library is called; places count
@@ -141,13 +141,13 @@ def test_the_chain_is_timed_stage_by_stage() -> None:
 
 def test_times_are_labelled_with_plain_numbers() -> None:
     found = PAGE.read()
-    for draw, ends in zip(PAGE.pictures.values(), [(1, 20), (2, 50)], strict=True):
-        figure = draw(found)
+    for name, ends in {"performance-stages.png": (1, 20), "performance-tracks.png": (2, 50)}.items():
+        figure = PAGE.pictures[name](found)
         (axes,) = figure.axes
         low, high = axes.get_ylim()
         texts = [text for at, text in zip(axes.get_yticks(), axes.get_yticklabels(), strict=True) if low <= at <= high]
         numbers = [float(text.get_text()) for text in texts]
-        assert set(ends) <= set(numbers) <= {1, 2, 5, 10, 20, 50, 100}
+        assert set(ends) <= set(numbers) <= {0.5, 1, 2, 5, 10, 20, 50, 100}
         assert not any(text.get_text() for text in axes.get_yticklabels(minor=True))
         plt.close(figure)
 
@@ -161,3 +161,35 @@ def test_electrons_of_the_readout_are_multiplied() -> None:
         digitizer, samples = digitizer_of(one), (muons.steps, more)
         charge = [digitizer.digitize(muons.detector, muons.truths, steps, 1)["charge"].sum() for steps in samples]
         assert 2.5 < charge[1] / charge[0] < 6  # thresholds and saturation change the factor
+
+
+def test_exponents_are_those_of_power_laws() -> None:
+    n = np.array([1.0, 4.0, 16.0, 64.0])
+    assert scaling.exponent(n, 50 * n**0.4) == pytest.approx((0.4, 50))
+
+
+def test_scaling_measures_all_that_the_page_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small samples: every number has a time, and fewer wire layers take less."""
+    small = {"IN_ALL": 16, "TRACKS": (1, 4), "MUONS": 300, "LAYERS": (12, 112), "THREADED": 200, "RUNS": 2}
+    for name, value in small.items():
+        monkeypatch.setattr(scaling, name, value)
+    assert [len(scaling.with_wire_layers(n).drift_chamber.layers) for n in scaling.LAYERS] == [12, 112]
+    rows = scaling.measure(1).rows
+    assert {row.what for row in rows} | {"events"} == set(scaling.TIMES)
+    of_layers = {row.n: row.us for row in rows if row.what == "layers"}
+    assert 0 < of_layers[12] < of_layers[112]
+    assert all(row.us > 0 for row in rows)
+
+
+def test_scaling_draws_its_numbers() -> None:
+    found = PAGE.read()
+    figure = PAGE.pictures["performance-scaling.png"](found)
+    for axes, what in zip(figure.axes, ("tracks", "layers"), strict=True):
+        own = [row for row in found["scaling"].rows if row.what == what]
+        points, line = axes.get_lines()
+        assert points.get_xydata().tolist() == [[row.n, row.us] for row in own]
+        power, start = scaling.exponent([row.n for row in own], [row.us for row in own])
+        assert line.get_ydata() == pytest.approx([start * row.n**power for row in own])
+        assert f"{power:.2f}" in line.get_label()
+        assert "µs" in axes.get_ylabel()
+    plt.close(figure)
