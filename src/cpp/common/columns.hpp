@@ -3,9 +3,12 @@
 #pragma once
 
 #include <cstddef>
+#include <cstring>
 #include <tuple>
 #include <type_traits>
 #include <vector>
+
+#include "common/compiler.hpp"
 
 namespace cgemit {
 
@@ -25,6 +28,15 @@ struct Column {
   }
   using Values = std::vector<decltype(entry())>;
 };
+
+// Appends a member of each row; one function for all members of a type, not one for each column.
+template <class Entry>
+CGEMIT_NOINLINE void append_members(const std::byte* from, std::size_t row_size, std::size_t n,
+                                    std::vector<Entry>& values) {
+  values.resize(values.size() + n);
+  Entry* const to = values.data() + values.size() - n;
+  for (std::size_t i = 0; i < n; ++i) std::memcpy(to + i, from + i * row_size, sizeof(Entry));
+}
 
 template <class Row>
 class Columns {
@@ -54,10 +66,8 @@ class Columns {
 
   void write() {
     each([this](const auto& column, auto& values) {
-      values.resize(n_written_ + n_waiting_);
-      auto* const to = values.data() + n_written_;
-      using Entry = std::remove_reference_t<decltype(*to)>;
-      for (std::size_t i = 0; i < n_waiting_; ++i) to[i] = static_cast<Entry>(waiting_[i].*column.value);
+      append_members(reinterpret_cast<const std::byte*>(&(waiting_.front().*column.value)), sizeof(Row),
+                     n_waiting_, values);
     });
     n_written_ += n_waiting_;
     n_waiting_ = 0;
