@@ -31,7 +31,7 @@ from cgemit.reconstruction.fit import LOSSES, PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
 from pages.optimal import QUANTITIES, Floats, Hit, Optimum, TurnsBackError, errors, optimum
-from pages.page import Found, Numbers, Page, say, share_of, table
+from pages.page import Found, Numbers, Page, say, share_of, span, table
 
 #: Momenta (GeV/c) of each particle, and cos(theta) of the grid. Slower kaons and protons stop on the way.
 _LIGHT, _HEAVY = (0.1, 0.2, 0.5, 1.0, 2.0), (0.35, 0.5, 0.8)
@@ -526,12 +526,16 @@ def _from_optimum(results: FitResults) -> str:
 
 def _default_off(results: FitResults) -> str:
     """Return the pulls of the default sample that are outside the gate."""
-    places: dict[str, list[str]] = {}
+    off: dict[tuple[str, str], list[Pull]] = {}
     for row in results.pulls:
         if row.mode == "default" and not row.agrees:
-            place = f"{row.particle} at {row.p:g} GeV/c and cos(theta) {row.cos_theta:g} in `{row.detector}`"
-            places.setdefault(place, []).append(f"{row.parameter} (width {row.width:.2f})")
-    return "; ".join(f"{' and '.join(pulls)} of {place}" for place, pulls in places.items()) or "none"
+            place = f"{row.p:g} GeV/c and cos(theta) {row.cos_theta:g} in `{row.detector}`"
+            off.setdefault((place, row.parameter), []).append(row)
+    return "; ".join(
+        f"{parameter} of {', '.join(row.particle for row in rows)} at {place} "
+        f"(width {span([row.width for row in rows])})"
+        for (place, parameter), rows in off.items()
+    ) or "none"  # fmt: skip
 
 
 def _chi2_text(results: FitResults) -> str:

@@ -215,6 +215,12 @@ def share_of(events: int, share: float, least: int = 20) -> int:
     return max(least, round(events * share))
 
 
+def span(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of some ratios."""
+    low, high = f"{min(values):.2f}", f"{max(values):.2f}"
+    return low if low == high else f"{low} to {high}"
+
+
 def say(text: str) -> None:
     """Report progress with the time since the start."""
     print(f"{time.perf_counter() - _START:5.0f} s  {text}", file=sys.stderr, flush=True)

@@ -19,7 +19,7 @@ from cgemit.analysis.quantities import QUANTITIES
 from cgemit.draw.curves import draw_curves
 from cgemit.draw.style import style
 from pages import covariance, geant4, paper, performance, presets
-from pages.page import ROOT, Found, Page
+from pages.page import ROOT, Found, Page, span
 
 DETECTORS = ("besiii-cgem-design", "besiii-idc")
 MOMENTA = [0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0]  # GeV/c
@@ -90,11 +90,6 @@ def blocks(found: Found) -> dict[str, str]:
         "p": f"{study['sigma_p'].value:.1f}",
         "printed": f"```text\n{printed()}```",
     }
-
-
-def span(values: list[float]) -> str:
-    """Return the smallest and the largest of some ratios."""
-    return f"{min(values):.2f} to {max(values):.2f}"
 
 
 PAGE = Page("readme", "README.md", "20 s", blocks=blocks, pictures={"resolution.png": resolutions})

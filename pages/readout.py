@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from cgemit.reconstruction.cluster_errors import chip_errors, error_inputs, expe
 from cgemit.reconstruction.find import truth
 from cgemit.study.readout import errors, scan
 from cgemit.tables import Table
-from pages.page import Found, Numbers, Page, share_of, table
+from pages.page import Found, Numbers, Page, share_of, span, table
 
 DETECTOR, P, COS_THETA, SEED = "besiii-cgem-design", 1.0, (-0.93, 0.93), 77
 TRACKS, BEAM, GHOSTS = 12_000, 4000, 1000
@@ -533,14 +533,14 @@ def _effects(found: Found) -> str:
 
 
 def _designs(found: Found) -> str:
-    return _span([row.core for row in found["pulls"].rows if row.quantity == "design"])
+    return span([row.core for row in found["pulls"].rows if row.quantity == "design"])
 
 
 def _gaps() -> dict[str, str]:
     """Return what the gaps behind the first foil do to a cloud in the reference detector."""
     detector = cg.load(DETECTOR)
     drift, width = drift_columns(detector), cloud_widths(detector, 1.0)[0]
-    cloud = f"the cloud is {drift['cloud_z'][0]:.2f} mm wide along z and {_span(width)} mm along φ"
+    cloud = f"the cloud is {drift['cloud_z'][0]:.2f} mm wide along z and {span(width)} mm along φ"
     return {
         "transfer": f"the transfer gaps delay by {drift['delay'][0]:.0f} ns, and {cloud}",
         "induction": f"{drift['induction'][0]:.0f} ns",
@@ -550,15 +550,10 @@ def _gaps() -> dict[str, str]:
 def _correlations() -> str:
     straight = int(np.argmin(np.abs(COS_THETAS)))
     tiger, apv25 = (
-        _span(expected_errors(cg.load(DETECTOR), readout, "merged", True).correlation[:, straight])
+        span(expected_errors(cg.load(DETECTOR), readout, "merged", True).correlation[:, straight])
         for readout in (cg.TigerReadout(), cg.Apv25Readout())
     )
     return f"{tiger} (`apv25` {apv25})"
-
-
-def _span(values: Iterable[float]) -> str:
-    low, *_, high = sorted(values)
-    return f"{low:.2f} to {high:.2f}"
 
 
 def _ghosts(found: Found) -> str:
