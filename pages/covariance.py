@@ -227,7 +227,7 @@ def failures(found: Found) -> list[str]:
 
 
 PAGE = Page(
-    "covariance", "docs/methods/analytic.md", "40 min",
+    "covariance", "docs/methods/analytic.md", "12 min",
     {"ratios": (Ratio, measure), "samples": (Sampling, measure_samples)}, blocks,
     {"validation-covariance.png": draw}, failures,
 )  # fmt: skip

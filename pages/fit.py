@@ -711,7 +711,7 @@ def _draw_widths(plot: Axes, results: FitResults) -> None:
 PAGE = Page(
     "fit",
     "docs/validation.md",
-    "20 min",
+    "30 min",
     {
         "pulls": (Pull, functools.partial(_of_grid, "pulls")),
         "chi2": (Chi2, functools.partial(_of_grid, "chi2")),
