@@ -146,6 +146,36 @@ def slowness(row: fit.Pull) -> float:
     return row.p**2 / math.hypot(row.p, mass)
 
 
+# Known to fail: what the pull is, why, and its allowed width, None where it must agree with the gate of the page.
+BEYOND = {
+    ("gaussian", "besiii-idc", "proton", 0.35, 0.8, "p"): ("mean 0.026 ± 0.006", None),
+    ("gaussian", "besiii-idc-boss", "proton", 0.35, 0.8, "kappa"): ("width 0.962 ± 0.004: error too large", 0.035),
+    ("default", "besiii-idc-boss", "pi-", 0.1, 0.8, "dz"): ("width 1.105 ± 0.006: error too small", 0.1),
+}
+
+
+def place_of(row: fit.Pull) -> tuple[str, str, str, float, float, str]:
+    return row.mode, row.detector, row.particle, row.p, row.cos_theta, row.parameter
+
+
+def off_in(results: FitResults, mode: str) -> list[fit.Pull]:
+    """Return the pulls outside the gate, but for those that are known to fail."""
+    rows = [row for row in results.pulls if row.mode == mode and not row.agrees]
+    return [row for row in rows if place_of(row) not in BEYOND]
+
+
+@pytest.mark.parametrize(
+    ("place", "allowed"),
+    [pytest.param(place, allowed, marks=pytest.mark.xfail(strict=True, reason=reason))
+     for place, (reason, allowed) in BEYOND.items()],
+)  # fmt: skip
+def test_pulls_in_inner_drift_chambers_agree(
+    place: tuple[str, str, str, float, float, str], allowed: float | None
+) -> None:
+    (row,) = [row for row in FitResults.of(fit.PAGE.read()).pulls if place_of(row) == place]
+    assert row.agrees if allowed is None else abs(row.width - 1) <= allowed
+
+
 def test_fit_holds_the_whole_grid_and_agrees() -> None:
     """What is off is the mean of pulls whose error changes with the estimate, by as much as has been worked out."""
     results = FitResults.of(fit.PAGE.read())
@@ -156,18 +186,17 @@ def test_fit_holds_the_whole_grid_and_agrees() -> None:
         found = {(row.detector, row.p, row.cos_theta, row.particle) for row in results.pulls if row.mode == mode}
         assert found == grid
     assert {row.parameter for row in results.pulls} == {*optimal.QUANTITIES}
-    off = [row for row in results.pulls if row.mode == "gaussian" and not row.agrees]
+    off = off_in(results, "gaussian")
     assert all(slowness(row) < 0.25 and row.cos_theta >= 0.5 for row in off)
-    # p, which joined the pulls last, has a bias of its own in four rows of 25000 tracks and more.
+    # p, which joined the pulls last, has a bias of its own in three rows of 35000 tracks and more.
     momenta = {(row.detector, row.particle, row.p) for row in off if row.parameter == "p"}
     assert momenta <= {
-        ("besiii-cgem-design", "pi+", 0.2), ("besiii-cgem", "pi+", 0.1), ("besiii-cgem", "proton", 0.35),
-        ("besiii-idc", "proton", 0.35),
+        ("besiii-cgem-design", "pi+", 0.2), ("besiii-cgem", "pi+", 0.1), ("besiii-cgem", "proton", 0.35)
     }  # fmt: skip
     off = [row for row in off if row.parameter != "p"]
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}
-    # The slowest protons scatter as muons of 0.19 GeV/c do: kappa is 2 to 4 % too narrow.
-    assert all(abs(row.width - 1) <= (0.04 if row.particle == "proton" else row.tolerances[0]) for row in off)
+    # The slowest protons scatter as muons of 0.19 GeV/c do: kappa is 2 to 3 % too narrow.
+    assert all(abs(row.width - 1) <= (0.035 if row.particle == "proton" else row.tolerances[0]) for row in off)
     worked_out = [row for row in off if row.expected_mean is not None]
     assert {row.p for row in worked_out if row.particle not in ("proton", "K-")} <= {0.2}
     assert {(row.p, row.particle) for row in worked_out} >= {(0.35, "proton"), (0.35, "K-")}
@@ -181,15 +210,14 @@ def test_fit_holds_the_whole_grid_and_agrees() -> None:
 
 def test_fit_agrees_in_the_default_simulation() -> None:
     results = FitResults.of(fit.PAGE.read())
-    off = [row for row in results.pulls if row.mode == "default" and not row.agrees]
+    off = off_in(results, "default")
     assert not [row for row in off if row.detector == fit.DETECTORS[0]]
     # Of the others dz and tanl of steep tracks of 0.1 GeV/c that turn back, and one kappa by chance (0.945 with more).
     assert all(row.p < 0.15 and row.cos_theta == 0.8 for row in off if row.parameter in ("dz", "tanl"))
     assert {(row.detector, row.p, row.particle) for row in off if row.parameter == "kappa"} <= {
         ("besiii-idc", 0.5, "pi-")
     }
-    # In the inner drift chambers their errors are up to a tenth too small: 1.105 ± 0.006.
-    assert all(abs(row.width - 1) < 0.11 and abs(row.mean) < 0.08 for row in off)
+    assert all(abs(row.width - 1) < 0.1 and abs(row.mean) < 0.08 for row in off)
 
 
 def test_fit_finds_sides_and_loses_no_resolution() -> None:
