@@ -89,6 +89,7 @@ class SeedFrom(enum.Enum):
     wires_and_clusters = 1
     azimuths = 2
 
+def sine_cosine_of_turn(turns: npt.ArrayLike) -> tuple[_Floats, _Floats]: ...
 def seeds(
     detector: Detector, *, hit_offsets: npt.ArrayLike, hits: _Columns, mass: npt.ArrayLike, source: SeedFrom
 ) -> _Array: ...

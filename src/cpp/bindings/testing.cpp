@@ -474,6 +474,16 @@ py::array_t<double> function(const std::string& name, const Array<double>& value
   return to_numpy(std::move(out));
 }
 
+py::tuple of_turns(const Array<double>& turns) {
+  std::vector<double> sines, cosines;
+  for (const double u : column(turns, "turns")) {
+    const auto [sine, cosine] = sine_cosine_of_turn(u);
+    sines.push_back(sine);
+    cosines.push_back(cosine);
+  }
+  return py::make_tuple(to_numpy(std::move(sines)), to_numpy(std::move(cosines)));
+}
+
 }  // namespace
 
 void bind_testing(py::module_& core) {
@@ -550,6 +560,8 @@ void bind_testing(py::module_& core) {
              py::arg("mass"), py::arg("source"),
              "First helix of each row of hit_offsets, (n, 5) in the parameters of the tracks table; NaN if "
              "there is none.");
+  module.def("sine_cosine_of_turn", &of_turns, py::arg("turns"),
+             "Sines and cosines of 2 pi times the turns.");
   module.def("function", &function, py::arg("name"), py::arg("values"),
              "Apply a function of the kernels in use: log, exp, sine, cosine, atan, azimuth, nearest.");
 }

@@ -62,8 +62,10 @@ class GapIonization {
     BlocksAhead words(stream_, Purpose::ionization, place_, 1);
     for (std::uint32_t number = 0; number < static_cast<std::uint32_t>(n); ++number) {
       const std::uint32_t drawn = words[number];
+      constexpr std::size_t few = 8;  // no branch predicts which of the small sizes it is
       std::size_t size = 0;
-      while (size + 1 < matter_.sizes.size() && drawn >= matter_.sizes[size]) ++size;
+      for (std::size_t i = 0; i < few; ++i) size += drawn >= matter_.sizes[i];
+      while (size >= few && size + 1 < matter_.sizes.size() && drawn >= matter_.sizes[size]) ++size;
       if (size >= largest_cluster) {
         large_cluster(number, size - largest_cluster, deltas, keep_clusters);
       } else {
@@ -163,8 +165,8 @@ class GapIonization {
 
   void follow(const Start& from, double energy, double turns, DeltaOrigin origin) {
     Electron electron{0, from.w, from.z, from.du, from.dw, from.dz, energy};
-    const double azimuth = 2 * pi * turns;
-    deflect(electron, 0.5 * (1 - collisions_.cosine(energy)), std::cos(azimuth), std::sin(azimuth));
+    const auto [sine, cosine] = sine_cosine_of_turn(turns);
+    deflect(electron, 0.5 * (1 - collisions_.cosine(energy)), cosine, sine);
     // Ten bits of `place` distinguish the electrons of a crossing.
     const std::uint32_t own = place_ | ((++followed_ & 1023U) << 16);
     electrons_.electrons.push_back({&matter_, crossing_.bz, stream_, own, electron});

@@ -171,8 +171,8 @@ void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, doub
   for (int i = 0; i < n; ++i) {
     const double angle = hard_angle(slab, p, per_beta2, recoil, draws);
     if (angle == 0) continue;
-    const double azimuth = 2 * pi * draws.next(), a = angle * std::cos(azimuth),
-                 b = angle * std::sin(azimuth);
+    const auto [sine, cosine] = sine_cosine_of_turn(draws.next());
+    const double a = angle * cosine, b = angle * sine;
     kick.angle_1 += a;
     kick.angle_2 += b;
     if (!slab.shifts) continue;

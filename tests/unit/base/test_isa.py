@@ -139,6 +139,13 @@ def test_functions_are_those_of_numpy(name: str, function: str) -> None:
     np.testing.assert_allclose(found, expected(values), rtol=6e-16, atol=absolute)
 
 
+def test_sine_and_cosine_of_a_turn_are_those_of_numpy() -> None:
+    turns = np.concatenate([np.linspace(0, 1, 40_001), np.arange(9) / 8, np.nextafter(np.arange(1, 8) / 8, 0)])
+    sine, cosine = _core._testing.sine_cosine_of_turn(turns)
+    np.testing.assert_allclose(sine, np.sin(2 * np.pi * turns), atol=1e-15, rtol=0)
+    np.testing.assert_allclose(cosine, np.cos(2 * np.pi * turns), atol=1e-15, rtol=0)
+
+
 @pytest.mark.parametrize("name", LANES)
 @pytest.mark.parametrize("sides", [True, False])
 @pytest.mark.parametrize("gun", GUNS)

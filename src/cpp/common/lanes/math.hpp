@@ -21,6 +21,40 @@ struct SineCosine {
 };
 inline SineCosine<double> sine_cosine(double x) { return {std::sin(x), std::cos(x)}; }
 
+// |x| < 0.8.
+template <class T>
+SineCosine<T> sine_cosine_near_0(T x) {
+  const T z = x * x;
+  return {x + x * z *
+                  (((((1.58962301576546568060e-10 * z - 2.50507477628578072866e-8) * z +
+                      2.75573136213857245213e-6) *
+                         z -
+                     1.98412698295895385996e-4) *
+                        z +
+                    8.33333333332211858878e-3) *
+                       z -
+                   1.66666666666666307295e-1),
+          1.0 - 0.5 * z +
+              z * z *
+                  (((((-1.13585365213876817300e-11 * z + 2.08757008419747316778e-9) * z -
+                      2.75573141792967388112e-7) *
+                         z +
+                     2.48015872888517045348e-5) *
+                        z -
+                    1.38888888888730564116e-3) *
+                       z +
+                   4.16666666666665929218e-2)};
+}
+
+// sin(2 pi u), cos(2 pi u) for 0 <= u <= 1, in a third of the time of the library's.
+inline SineCosine<double> sine_cosine_of_turn(double u) {
+  const int quarter = static_cast<int>(4 * u + 0.5);
+  const auto [s, c] = sine_cosine_near_0(2 * pi * (u - 0.25 * quarter));
+  const bool odd = quarter % 2 != 0;
+  const double sine = odd ? c : s, cosine = odd ? s : c;
+  return {quarter & 2 ? -sine : sine, (quarter + 1) & 2 ? -cosine : cosine};
+}
+
 #if CGEMIT_VECTORS
 
 // x > 0.
@@ -78,29 +112,8 @@ SineCosine<Pack<W>> sine_cosine(Pack<W> x) {
   using Vector = typename Pack<W>::Vector;
   // Subtracts quarter turns, with pi/2 in three parts.
   const Pack<W> n = nearest(x * 0.63661977236758134308);
-  const Pack<W> r =
-      ((x - n * 1.57079625129699707031) - n * 7.54978941586159635335e-8) - n * 5.39030285815811905290e-15;
-  const Pack<W> z = r * r;
-  const Pack<W> s =
-      r +
-      r * z *
-          (((((1.58962301576546568060e-10 * z - 2.50507477628578072866e-8) * z + 2.75573136213857245213e-6) *
-                 z -
-             1.98412698295895385996e-4) *
-                z +
-            8.33333333332211858878e-3) *
-               z -
-           1.66666666666666307295e-1);
-  const Pack<W> c =
-      1.0 - 0.5 * z +
-      z * z *
-          (((((-1.13585365213876817300e-11 * z + 2.08757008419747316778e-9) * z - 2.75573141792967388112e-7) *
-                 z +
-             2.48015872888517045348e-5) *
-                z -
-            1.38888888888730564116e-3) *
-               z +
-           4.16666666666665929218e-2);
+  const auto [s, c] = sine_cosine_near_0(((x - n * 1.57079625129699707031) - n * 7.54978941586159635335e-8) -
+                                         n * 5.39030285815811905290e-15);
   const Bits quarter = reinterpret_cast<Bits>((n + 0x1.8p52).v);
   const typename Registers<W>::Integers odd = (quarter & 1) != 0;
   const Bits sine_sign = (quarter & 2) << 62, cosine_sign = ((quarter + 1) & 2) << 62;
