@@ -44,8 +44,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
   const bool seeded = start_array.ndim() == 2 && start_array.shape(0) > 0;
   if (seeded) matrix(start_array, "start", static_cast<py::ssize_t>(n), 5);
   const FitSettings settings = fit_settings(setting_values);
-  const HitColumns columns(detector, hit_columns, n_hits);
-  columns.check_order(offsets);
+  const HitColumns columns(detector, hit_columns, n_hits, false);
   const auto side = columns.side();
   std::vector<Perigee> start;
   for (std::size_t i = 0; seeded && i < n; ++i) start.push_back(from_bes3(start_array.data() + 5 * i));
@@ -86,7 +85,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
       tracks = begins.alike(begin, std::min(begin + block_of_tracks, n));
       const auto first = static_cast<std::size_t>(offsets[begin]),
                  count = static_cast<std::size_t>(offsets[begin + tracks]) - first;
-      columns.take(first, count, hits);
+      if (!columns.take(offsets.subspan(begin, tracks + 1), hits)) columns.check(offsets);
       track_rows.resize(tracks);
       hit_rows.resize(residuals ? count : 0);
       last_rows.resize(states ? tracks : 0);

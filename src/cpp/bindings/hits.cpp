@@ -33,7 +33,8 @@ HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ss
   if (check) check_hits(rules_, hits_);
 }
 
-void HitColumns::check_order(std::span<const std::int64_t> offsets) const {
+void HitColumns::check(std::span<const std::int64_t> offsets) const {
+  check_hits(rules_, hits_);
   Problems problems;
   for (std::size_t track = 0; track + 1 < offsets.size(); ++track) {
     int last = -1;
@@ -49,20 +50,6 @@ void HitColumns::check_order(std::span<const std::int64_t> offsets) const {
     }
   }
   problems.raise("hits");
-}
-
-void HitColumns::take(std::size_t first, std::size_t n, std::vector<Hit>& out) const {
-  out.resize(n);
-  for (std::size_t i = first; i < first + n; ++i) {
-    out[i - first] = {.view = static_cast<View>(hits_.kind[i]),
-                      .layer = rules_.index(hits_.kind[i], hits_.layer[i]),
-                      .channel = hits_.channel[i],
-                      .size = hits_.size[i],
-                      .value = hits_.value[i],
-                      .sigma = hits_.sigma[i],
-                      .k = hits_.k.empty() ? 0 : hits_.k[i],
-                      .x = hits_.x.empty() ? 0 : hits_.x[i]};
-  }
 }
 
 std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array) {

@@ -20,11 +20,18 @@ class HitColumns {
 
   HitProblems problems() const { return problems_of(rules_, hits_); }
 
-  // Throws if the hits of a track are not ordered from the beam line outward.
-  void check_order(std::span<const std::int64_t> offsets) const;
+  // Throws, listing the problems with the hits, or the tracks whose hits are not ordered from the beam line
+  // outward.
+  void check(std::span<const std::int64_t> offsets) const;
 
   // Copies hits first to first + n to `out`; needs no GIL.
-  void take(std::size_t first, std::size_t n, std::vector<Hit>& out) const;
+  void take(std::size_t first, std::size_t n, std::vector<Hit>& out) const {
+    copy_hits(rules_, hits_, first, n, out);
+  }
+  // The same for the hits of tracks. False if one of them breaks a rule or the order.
+  bool take(std::span<const std::int64_t> offsets, std::vector<Hit>& out) const {
+    return copy_tracks(rules_, hits_, offsets, out);
+  }
   std::span<const std::int8_t> side() const { return hits_.side; }
 
  private:

@@ -42,7 +42,7 @@ Detector beginning_at(const Detector& detector, double radius) {
 StartRadii::StartRadii(const Detector& detector, std::size_t tracks, std::span<const double> radii)
     : of_track_(tracks, &detector) {
   for (std::size_t track = 0; track < radii.size(); ++track) {
-    const int inside = slabs_inside(detector, radii[track]);
+    const int inside = radii[track] == 0 ? 0 : slabs_inside(detector, radii[track]);
     if (inside == 0) continue;
     auto known = begun_.find(inside);
     if (known == begun_.end()) known = begun_.emplace(inside, beginning_at(detector, radii[track])).first;

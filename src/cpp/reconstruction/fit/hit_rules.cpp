@@ -10,6 +10,17 @@ std::string where(const HitView& hits, std::size_t i) {
   return (wire ? "wire_hits row " : "clusters row ") + std::to_string(hits.row[i]);
 }
 
+Hit hit_of(const HitRules& rules, const HitView& hits, std::size_t i) {
+  return {.view = static_cast<View>(hits.kind[i]),
+          .layer = rules.index(hits.kind[i], hits.layer[i]),
+          .channel = hits.channel[i],
+          .size = hits.size[i],
+          .value = hits.value[i],
+          .sigma = hits.sigma[i],
+          .k = hits.k.empty() ? 0 : hits.k[i],
+          .x = hits.x.empty() ? 0 : hits.x[i]};
+}
+
 }  // namespace
 
 HitRules::HitRules(const Detector& detector) : cgem_(detector.layers.size()) {
@@ -58,6 +69,29 @@ void HitRules::explain(const HitView& hits, std::size_t i, std::vector<HitProble
   } else if (side != 0 && value < -most_below * sigma) {
     add("drift", to_text(value), "none so far below 0 on a known side (sigma " + to_text(sigma) + ")");
   }
+}
+
+void copy_hits(const HitRules& rules, const HitView& hits, std::size_t first, std::size_t n,
+               std::vector<Hit>& out) {
+  out.resize(n);
+  for (std::size_t i = 0; i < n; ++i) out[i] = hit_of(rules, hits, first + i);
+}
+
+bool copy_tracks(const HitRules& rules, const HitView& hits, std::span<const std::int64_t> offsets,
+                 std::vector<Hit>& out) {
+  const auto at = [&](std::size_t track) { return static_cast<std::size_t>(offsets[track]); };
+  out.resize(static_cast<std::size_t>(offsets.back() - offsets.front()));
+  bool fits = true;
+  for (std::size_t track = 0; track + 1 < offsets.size(); ++track) {
+    int last = -1;
+    for (std::size_t i = at(track); i < at(track + 1); ++i) {
+      const int surface = rules.surface(hits.kind[i], hits.layer[i]);
+      fits &= surface >= last && rules.fits(hits, i);
+      last = surface;
+      out[i - at(0)] = hit_of(rules, hits, i);
+    }
+  }
+  return fits;
 }
 
 HitProblems problems_of(const HitRules& rules, const HitView& hits) {

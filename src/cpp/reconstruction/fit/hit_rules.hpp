@@ -68,6 +68,15 @@ class HitRules {
   Layer none_;
 };
 
+// Copies hits first to first + n to `out`.
+void copy_hits(const HitRules& rules, const HitView& hits, std::size_t first, std::size_t n,
+               std::vector<Hit>& out);
+
+// Copies the hits of tracks, which begin at `offsets`. False if one of them breaks a rule, or lies inside the
+// one before.
+bool copy_tracks(const HitRules& rules, const HitView& hits, std::span<const std::int64_t> offsets,
+                 std::vector<Hit>& out);
+
 // The first few dozen problems, and their number.
 struct HitProblems {
   std::vector<HitProblem> listed;
