@@ -55,7 +55,7 @@ from cgemit.reconstruction.reconstruct import turns
 from cgemit.reconstruction.refine import Hits
 from cgemit.simulation.background import add_background
 from cgemit.simulation.digitize import digitize
-from cgemit.simulation.transport import simulate, transport_counts
+from cgemit.simulation.transport import transport, transport_counts
 from cgemit.tables import Table
 from cgemit.tables.formats import check_format
 from cgemit.tables.store import JoinedTables, PartsWriter, StoredTables
@@ -236,7 +236,7 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     particles : Table of kind "particles"
     """
     settings = job.settings
-    made: Tables = simulate(job.detector, particles, settings.simulate, job.seed)
+    made: Tables = transport(job.detector, particles, settings.simulate, job.seed)
     yield "simulate", made
     particles, truths, wire_truths = made["particles"], made["truths"], made["wire_truths"]
     made = digitize(job.detector, truths, wire_truths, settings.digitize, job.seed, steps=made["steps"])

@@ -215,7 +215,7 @@ def _label_problems(
         for name, label, table in (("cluster_label", of_cluster, clusters), ("wire_label", of_wire, wire_hits))
         if label.shape != (len(table),) or (label.size and (label.dtype.kind not in "iub" or label.max() >= 2**31))
     ]
-    if not np.array_equal(clusters.events, wire_hits.events):
+    if not clusters.covers_as(wire_hits):
         problems.append("wire_hits: cover other events than the clusters; expected the same")
     if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
         known = ", ".join(map(repr, HYPOTHESES))
@@ -260,7 +260,7 @@ def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Ta
     TypeError, ValueError
         If it returns anything but a mapping with these two tables, of the same events.
     """
-    return check_found(finder(detector, clusters, wire_hits), finder_name(finder), clusters.events)
+    return check_found(finder(detector, clusters, wire_hits), finder_name(finder), clusters)
 
 
 def finder_name(finder: object) -> str:
@@ -277,7 +277,7 @@ def finder_name(finder: object) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
-def check_found(found: object, finder: str, events: npt.NDArray[Any]) -> dict[str, Table]:
+def check_found(found: object, finder: str, clusters: Table) -> dict[str, Table]:
     """Return the tables that a finder has made.
 
     Parameters
@@ -286,8 +286,8 @@ def check_found(found: object, finder: str, events: npt.NDArray[Any]) -> dict[st
         Its return value.
     finder : str
         Its name.
-    events : ndarray, (n,) int64
-        Events that it was given.
+    clusters : Table
+        Clusters that it was given.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def check_found(found: object, finder: str, events: npt.NDArray[Any]) -> dict[st
     problems = kind_problems(**tables) or [
         f"{name}: cover other events than the clusters; expected the same"
         for name, table in tables.items()
-        if not np.array_equal(table.events, events)
+        if not table.covers_as(clusters)
     ]
     if problems:
         raise ValueError(f"finder {finder}:\n  " + "\n  ".join(problems))

@@ -303,13 +303,12 @@ def fit_hits(
     if isinstance(candidates, str) and candidates != "ckf":
         problems.append(f"candidates: got {candidates!r}, expected 'ckf', a finder, tables or None")
     hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None)
-    events = hits[0].events
     if candidates == "ckf":
         candidates = find_tracks
     elif candidates is None:
         labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
         candidates = label_candidates(*hits, labels[0], labels[1], hypothesis)
-    tables = None if callable(candidates) else check_found(candidates, "given", events)
+    tables = None if callable(candidates) else check_found(candidates, "given", hits[0])
 
     def given(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
         assert tables is not None

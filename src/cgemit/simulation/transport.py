@@ -121,7 +121,20 @@ def simulate(
     (['decays', 'particles', 'steps', 'truths', 'wire_truths'], [5, 5, 5])
     """
     check_particles(particles)
-    out = _core.simulate(**core_arguments(load(detector), particles, settings or SimulateSettings(), seed))
+    return transport(load(detector), particles, settings or SimulateSettings(), seed)
+
+
+def transport(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Table]:
+    """Simulate particles that are known to be valid, as those of a gun and those that `run` has checked.
+
+    Parameters
+    ----------
+    detector : Detector
+    particles : Table of kind "particles"
+    settings : SimulateSettings
+    seed : int
+    """
+    out = _core.simulate(**core_arguments(detector, particles, settings, seed))
     cover = particles.cover
     return {
         "particles": particles.with_columns(status=out["status"]),

@@ -311,7 +311,11 @@ class Table:
 
     def with_meta(self, **meta: Any) -> Table:
         """Return the same rows with `meta` added to."""
-        return Table(self.kind, self.columns, meta={**self.meta, **meta}, **self.cover)
+        same = object.__new__(Table)
+        for name in self.__slots__:
+            object.__setattr__(same, name, getattr(self, name))
+        object.__setattr__(same, "meta", {**self.meta, **meta})
+        return same
 
     def _like(self, columns: Mapping[str, npt.ArrayLike]) -> Table:
         """Return other columns of the same events and origin."""
@@ -323,13 +327,13 @@ class Table:
             return NotImplemented
         if (self.kind, list(self.columns)) != (other.kind, list(other.columns)):
             return False
-        return self._covers_as(other) and all(
+        return self.covers_as(other) and all(
             column.dtype == other.columns[name].dtype
             and np.array_equal(column, other.columns[name], equal_nan=column.dtype.kind == "f")
             for name, column in self.columns.items()
         )
 
-    def _covers_as(self, other: Table) -> bool:
+    def covers_as(self, other: Table) -> bool:
         """Tell whether another table covers the same events."""
         same = (self.n_events, self.first_event) == (other.n_events, other.first_event)
         mine, theirs = self._gaps, other._gaps
@@ -433,6 +437,6 @@ def made_by(maker: str, kind: str, table: object, source: Table) -> Table:
     problems = kind_problems(**{kind: table})
     if problems or not isinstance(table, Table):
         raise TypeError(f"{maker}: {problems[0]}")
-    if not np.array_equal(table.events, source.events):
+    if not table.covers_as(source):
         raise ValueError(f"{maker}: {kind}: cover other events than {source.kind}; expected the same")
     return table

@@ -50,7 +50,9 @@ py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape 
   auto owner = std::make_unique<std::vector<T>>(std::move(values));
   T* data = owner->data();
   py::capsule capsule(owner.release(), [](void* p) { delete static_cast<std::vector<T>*>(p); });
-  return py::array_t<T>(std::move(shape), data, capsule);
+  py::array_t<T> array(std::move(shape), data, capsule);
+  py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
+  return array;
 }
 
 template <class Row>

@@ -158,7 +158,7 @@ def find_tracks(
     if not isinstance(settings, FindSettings):
         raise TypeError(f"settings: got {type(settings).__name__}, expected FindSettings")
     problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
-    if not problems and not np.array_equal(clusters.events, wire_hits.events):
+    if not problems and not clusters.covers_as(wire_hits):
         problems = ["wire_hits: cover other events than the clusters; expected the same"]
     if problems:
         raise ValueError("find_tracks:\n  " + "\n  ".join(problems))
