@@ -91,12 +91,17 @@ class GroupFit {
     filter_inward(now, prior);
     smooth_outward(now);
     decide(now);
+    near_ = now.works & active_;
+    if (any(near_)) near_ = near_ & is_near(now.state);
   }
 
   // Follows the reference trajectory and computes the measurement of every hit on it.
   void linearise(Iteration& now, T mass, Projectile projectile) {
     if (iteration_ > patient_iterations) give_up_hits();
-    if (any(active_ & !now.kept)) trace(mass, projectile, now.kept, now.rough);
+    if (any(active_ & !now.kept)) {
+      trace(mass, projectile, now.kept, now.rough);
+      noise_ = noise_variances(group_);
+    }
     if (any(now.kept)) follow_extents(group_, detector_, extents_at_, helix_, now.kept);
     extents_at_ = helix_;
     mask_of<T> works = active_;
@@ -130,7 +135,6 @@ class GroupFit {
       variance_[i] = select(now.works, now.state.c(i, i), variance_[i]);
     });
     move(step, now.works);
-    near_ = now.works & is_near(now.state);
   }
 
   // Whether a helix is so close to the reference that a new reference would give the same fit: rows are exact
@@ -160,7 +164,7 @@ class GroupFit {
     now.judged = iteration_ >= impatient_iterations ? now.works : now.settled;
     if (!now.last && !any(now.judged) && !any((open_ | group_.kinked) & now.works)) return;
     smooth(group_, now.works);
-    if (any(open_ & now.works)) now.settled = now.settled & renew_sides(group_, now.works, iteration_ < 2);
+    if (any(open_ & now.works)) now.settled = now.settled & renew_sides(group_, now.works, iteration_ == 0);
     if (settings_.outlier_pull > 0)
       now.settled =
           now.settled & renew_outliers(group_, now.judged, settings_.outlier_pull, iteration_ < last_return);
@@ -226,8 +230,8 @@ class GroupFit {
     constexpr double ratio = 4000;
     Five<T> variance = prior;
     if (iteration_ > 0) {
-      const Five<T> noise = noise_variances(group_);
-      unroll<parameters>([&](auto i) { variance[i] = smaller(ratio * (variance_[i] + noise[i]), prior[i]); });
+      unroll<parameters>(
+          [&](auto i) { variance[i] = smaller(ratio * (variance_[i] + noise_[i]), prior[i]); });
     }
     return Symmetric<T>::diagonal(variance);
   }
@@ -341,6 +345,7 @@ class GroupFit {
   PerigeeOf<T> helix_;            // linearisation point of the next iteration
   LinearisedAbout<T> reference_;  // linearisation point of this iteration
   Five<T> variance_;              // of the previous iteration
+  Five<T> noise_;                 // variances that all matter adds
   T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 if none
   std::span<const FitLane> lanes_;
   mask_of<T> active_, open_, wires_only_;

@@ -15,11 +15,14 @@ T squared_pull(const Slot<T>& slot) {
 template <class T>
 mask_of<T> renew_outliers(Group<T>& group, mask_of<T> who, double most_pull, bool may_return) {
   T worst(0.0), left(0.0);
+  mask_of<T> some(false);
   for (const Slot<T>& slot : group.slots) {
     worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));
     left += select(slot.used, T(1.0), T(0.0));
+    some = some | slot.outlier;
   }
   const double cut = most_pull * most_pull;
+  if (!any(who & (some | (worst > cut)))) return mask_of<T>(true);
   // Far outliers move the track away from its good hits, so the worst ones are removed first.
   const T limit = larger(0.25 * worst, cut);
   mask_of<T> changed(false);
