@@ -20,10 +20,10 @@ namespace {
 // First row from `row` on whose event is another one.
 std::size_t skip(std::span<const std::int64_t> event, std::size_t row, std::int64_t one) {
   constexpr std::size_t block = 8;
-  const auto differs = [&](std::size_t from) {
-    std::int64_t bits = 0;
-    for (std::size_t k = from; k < from + block; ++k) bits |= event[k] ^ one;
-    return bits != 0;
+  const auto differs = [&](std::size_t from) {  // written out: the bindings are compiled without unrolling
+    const std::int64_t* e = event.data() + from;
+    return ((e[0] ^ one) | (e[1] ^ one) | (e[2] ^ one) | (e[3] ^ one) | (e[4] ^ one) | (e[5] ^ one) |
+            (e[6] ^ one) | (e[7] ^ one)) != 0;
   };
   while (row + block <= event.size() && !differs(row)) row += block;
   while (row < event.size() && event[row] == one) ++row;

@@ -33,12 +33,13 @@ Owner behind(const std::vector<Owner>& crossings, std::int64_t link) {
   return link < 0 ? Owner{} : crossings[static_cast<std::size_t>(link)];
 }
 
-// Numbers of the hits of candidates, by candidate.
+// Numbers of the hits of candidates, by candidate; none if they are in this order.
 std::vector<std::size_t> by_candidate(Links candidate) {
+  if (std::ranges::is_sorted(candidate)) return {};
   std::vector<std::size_t> order(candidate.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   const auto before = [&](std::size_t a, std::size_t b) { return candidate[a] < candidate[b]; };
-  if (!std::ranges::is_sorted(candidate)) std::ranges::stable_sort(order, before);
+  std::ranges::stable_sort(order, before);
   return order;
 }
 
@@ -104,12 +105,15 @@ MatchOutput match_hits(const MatchInput& in) {
   };
   std::vector<Share> shares;  // of the particles of a candidate
   const std::vector<std::size_t> order = by_candidate(in.candidate);
-  for (std::size_t first = 0, last; first < order.size(); first = last) {
-    const std::int64_t number = in.candidate[order[first]];
+  const auto hit_at = [&](std::size_t i) { return order.empty() ? i : order[i]; };
+  for (std::size_t first = 0, last; first < in.candidate.size(); first = last) {
+    const std::int64_t number = in.candidate[hit_at(first)];
     const auto candidate = static_cast<std::size_t>(number);
     shares.clear();
-    for (last = first; last < order.size() && in.candidate[order[last]] == number; ++last) {
-      const std::size_t hit = order[last], row = static_cast<std::size_t>(in.row[hit]);
+    for (last = first; last < in.candidate.size(); ++last) {
+      const std::size_t hit = hit_at(last);
+      if (in.candidate[hit] != number) break;
+      const auto row = static_cast<std::size_t>(in.row[hit]);
       const int weight = in.view[hit] == point_view ? 2 : 1;
       const Owner owner = in.view[hit] == wire_view ? behind(of_crossing, in.wire_truth[row])
                                                     : behind(of_truth, in.cluster_truth[row]);
@@ -176,16 +180,16 @@ HitsOfParticles assign_hits(const AssignInput& in) {
     hits[end++] = {row, wire ? in.wire_layer[at] : in.cluster_layer[at], wire};
   });
   HitsOfParticles out;
-  out.candidate.reserve(total);
-  out.row.reserve(total);
-  out.view.reserve(total);
+  out.candidate.resize(total);
+  out.row.resize(total);
+  out.view.resize(total);
   for (std::size_t candidate = 0, first = 0; candidate < ends.size(); first = ends[candidate++]) {
     const auto mine = std::span(hits).subspan(first, ends[candidate] - first);
     if (!std::ranges::is_sorted(mine, outward)) std::ranges::stable_sort(mine, outward);
-    for (const Place& hit : mine) {
-      out.candidate.push_back(static_cast<std::int64_t>(candidate));
-      out.row.push_back(hit.row);
-      out.view.push_back(hit.wire ? wire_view : in.cluster_view[static_cast<std::size_t>(hit.row)]);
+    for (std::size_t i = first; i < ends[candidate]; ++i) {
+      out.candidate[i] = static_cast<std::int64_t>(candidate);
+      out.row[i] = hits[i].row;
+      out.view[i] = hits[i].wire ? wire_view : in.cluster_view[static_cast<std::size_t>(hits[i].row)];
     }
   }
   return out;
