@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "common/lanes/pack.hpp"
+#include "common/units.hpp"
 
 namespace cgemit {
 
