@@ -469,7 +469,7 @@ def test_simulation_confirms_the_optimum(found: Optimization) -> None:
 def test_a_confirmation_expects_what_its_tracks_have() -> None:
     space = {"cgem.L1.anode_radius": ("80 mm", "100 mm")}
     found = optimize(DESIGN, space, evaluate=Evaluation(), search=Search(steps=1))
-    (ratio,), (error,) = (found.confirm([0], events=20_000, seed=2)[name] for name in ("ratio", "ratio_error"))
+    (ratio,), (error,) = (found.confirm([0], events=30_000, seed=2)[name] for name in ("ratio", "ratio_error"))
     assert abs(ratio - 1) < 3 * error < 0.02  # 0.96 if the fit allows for delta electrons that are not simulated
     full = found.confirm([0], events=100, fluctuations="full")
     assert full.columns["expected"] == full.columns["optimized"]
