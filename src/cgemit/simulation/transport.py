@@ -125,7 +125,7 @@ def simulate(
 
 
 def transport(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Table]:
-    """Simulate particles that are known to be valid, as those of a gun and those that `run` has checked.
+    """Return what `simulate` does, for valid particles: those of a gun, or those that are checked already.
 
     Parameters
     ----------
@@ -133,6 +133,10 @@ def transport(detector: Detector, particles: Table, settings: SimulateSettings, 
     particles : Table of kind "particles"
     settings : SimulateSettings
     seed : int
+
+    Returns
+    -------
+    dict of str to Table
     """
     out = _core.simulate(**core_arguments(detector, particles, settings, seed))
     cover = particles.cover
