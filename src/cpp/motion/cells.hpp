@@ -101,7 +101,7 @@ class CellFinder {
     const WireLayer& layer = wires_[index];
     range.at_wires = from;
     const T cylinder = wire_radius(layer, from.z);
-    const Mask reached = motion_.to_cylinder(range.at_wires, cylinder, range.arc, true, who);
+    const Mask reached = motion_.to_wires(range.at_wires, cylinder, range.arc, who);
     left_ = who & motion_.left();
     Mask ahead = who & !left_;
     if (const Mask missed = ahead & !reached; any(missed)) {
@@ -166,6 +166,7 @@ class CellFinder {
     const Mask enters = motion_.to_cylinder(from, borders.inner, arc, true, who);
     left_ = left_ | (who & motion_.left());
     if (!any(enters)) return enters;
+    motion_.look(to);
     const Mask leaves = motion_.to_cylinder(to, borders.outer, arc, true, enters);
     if (const Mask stays = enters & !leaves; any(stays)) {
       const T ahead = arc_to_apex(to);

@@ -70,6 +70,7 @@ class FieldMotionOf {
   T bz(const HelixPointOf<T>& point) const { return field_at(point).b.z; }
   const T& bending() const { return bend_; }  // charge/p in 1/(mm T)
   T charge_per_p() const { return bend_ * radius_per_kappa; }
+  double tolerance() const { return field_.tolerance; }
   // Lanes whose last move ended outside the map.
   Mask left() const { return left_; }
 
@@ -174,54 +175,12 @@ class FieldMotionOf {
     return arrived;
   }
 
-  // The same without a step in the map where the wire is close: along the helix that touches the track, then
-  // by what the other components of the field and its gradient add over this arc.
-  [[nodiscard]] Mask approach_near(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, Mask who) {
-    HelixPointOf<T> near = point;
-    Mask found = approach_wire(near, wire, result, who);
-    T arc = result.arc;
-    add_to_helix(point, arc, near);
-    const WireStep<T> last(near, wire, false);
-    const T step = select(found, last.arc, T(0.0));
-    advance(near, step);
-    result = distance_to_wire(near, wire);
-    result.arc = arc += step;
-    found = found & (abs(arc) < near_arc) & (abs(arc * point.w) < near_turn) &
-            field_.holds(Vec3<T>{near.x, near.y, near.z});
-    if (const Mask others = who & !found; any(others)) {
-      Point far = point;
-      ApproachOf<T> other;
-      const Mask arrived = approach(far, wire, other, others);
-      result = select(found, result, other);
-      near = select<T>(found, near, far);
-      found = found | arrived;
-    }
-    static_cast<HelixPointOf<T>&>(point) = near;
-    return found;
-  }
+ protected:
+  Mask left_{false};
 
  private:
   static constexpr int most_iterations = 20;
-  static constexpr double near_arc = 12, near_turn = 0.04;  // mm, rad
 
-  // Corrects the end of a helix from `from`: to second order for the field across the beam, to third for the
-  // gradient.
-  void add_to_helix(const Point& from, const T& arc, HelixPointOf<T>& end) const {
-    const T cosine = 1.0 / sqrt(1.0 + from.tanl * from.tanl), path = arc / cosine;
-    const T square = 0.5 * path * path, cube = path * square * (1.0 / 3), bends = cosine * cosine * from.w;
-    const Vec3<T> t{cosine * from.ux, cosine * from.uy, cosine * from.tanl};
-    const Vec3<T> turn = bend_ * cross(t, from.field.b) - Vec3<T>{-bends * from.uy, bends * from.ux, T(0.0)};
-    const Vec3<T> more = bend_ * cross(t, from.field.slope * t);
-    const Vec3<T> place = square * turn + cube * more, change = path * turn + square * more;
-    const T x = cosine * end.ux + change.x, y = cosine * end.uy + change.y, per = 1.0 / sqrt(x * x + y * y);
-    end = {end.x + place.x,
-           end.y + place.y,
-           end.z + place.z,
-           per * x,
-           per * y,
-           per * (cosine * end.tanl + change.z),
-           end.w};
-  }
   // mm; an error along the track changes a distance in second order, a position in first order
   static constexpr double close = 1e-5, exact = 1e-12;
   static constexpr double short_step = 3e-3;  // mm; shorter steps need the curvature only
@@ -316,7 +275,6 @@ class FieldMotionOf {
   const FieldMap& field_;
   T bend_{0.0};
   FieldDerivatives<T>* derivatives_ = nullptr;
-  Mask left_{false};
 };
 using FieldMotion = FieldMotionOf<double>;
 

@@ -34,6 +34,13 @@ class UniformMotionOf {
   }
   // Moves by an arc, forward or backward.
   void along(Point& point, const T& arc) const { advance(point, arc); }
+  // Matter and wires on the way are met one by one: a step costs as little as what a look ahead would save.
+  Mask to_slab(Point& point, double radius, T& arc, const Mask& who) const {
+    return step_to_cylinder(point, T(radius), arc, true, who);
+  }
+  Mask to_wires(Point& point, const T& radius, T& arc, const Mask& who) const {
+    return step_to_cylinder(point, radius, arc, true, who);
+  }
   Mask approach_near(Point& point, const WireOf<T>& wire, ApproachOf<T>& result, const Mask& who) const {
     return approach_wire(point, wire, result, who);
   }

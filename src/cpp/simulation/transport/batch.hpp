@@ -7,7 +7,7 @@
 
 #include "matter/electron_flight.hpp"
 #include "matter/ionization.hpp"
-#include "motion/field_motion.hpp"
+#include "motion/field_ahead.hpp"
 #include "motion/uniform.hpp"
 #include "simulation/transport/flight.hpp"
 #include "simulation/transport/half_turns.hpp"
@@ -351,7 +351,7 @@ void simulate_lanes(const Detector& detector, const ParticleColumns& particles,
   reserve(detector, settings, particles.event.size(), out);
   if (detector.field.is_uniform())
     return simulate_in<T, UniformMotionOf>(detector, particles, settings, seed, out);
-  simulate_in<T, FieldMotionOf>(detector, particles, settings, seed, out);
+  simulate_in<T, FieldAheadOf>(detector, particles, settings, seed, out);
 }
 
 }  // namespace cgemit

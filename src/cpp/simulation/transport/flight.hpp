@@ -89,16 +89,24 @@ class Flight {
       if (!any(passes)) continue;
       const auto index = static_cast<std::size_t>(surface.index);
       if (!surface.is_slab) {
+        if constexpr (!Motion::keeps_dip) motion_.look_ahead(point_, next_stop(i), passes & !curled_);
         pass_cells(index, passes);
       } else if (const Mask meets = passes & !curled_; any(meets)) {
         const Slab& slab = detector_.slabs[index];
         slab.gap >= 0 ? cross_gap(slab, meets) : cross(slab, reach(slab.radius, meets));
       }
     }
+    if constexpr (!Motion::keeps_dip) motion_.forget_ahead();
     decay_before_apex();
   }
 
   HelixPointOf<T>& helix() { return point_; }
+
+  // Radius of the next slab or, beyond the last one, of the last wires.
+  double next_stop(std::size_t i) const {
+    while (!detector_.surfaces[i].is_slab && i + 1 < detector_.surfaces.size()) ++i;
+    return detector_.surfaces[i].radius;
+  }
 
   // Index of the first surface beyond a radius.
   double first_ahead(double radius) const {
@@ -129,7 +137,7 @@ class Flight {
 
   // Returns the lanes that reach the radius.
   Mask reach(double radius, const Mask& who) {
-    const Mask arrived = motion_.to_cylinder(point_, radius, arc_, true, who);
+    const Mask arrived = motion_.to_slab(point_, radius, arc_, who);
     const Mask left = who & motion_.left();
     stop_at_edge(left);
     curled_ = curled_ | (who & !arrived & !left);
