@@ -17,7 +17,8 @@ constexpr double sure = 4;        // a hit with a larger likelihood ratio is tak
 constexpr double rim = 0.5;       // mm, of a cell; a track in it need not fire the cell
 constexpr double inflation = 10;  // of a covariance that the same hits have made
 constexpr double curved = 0.1;    // mm; a fit linear about a distant reference is off by as much
-constexpr int few_hits = 2, many_hits = 10;
+constexpr int few_hits = 2, many_hits = 10, many_wires = 20;
+constexpr double good_chi2 = 1.5;  // of a hit
 constexpr int most_speed_ups = 8;
 constexpr double speed_up = 0.92;  // of kappa
 constexpr int least_hits = 3;
@@ -64,7 +65,9 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
     // better one; those of a few hits that chance explains are not worth it.
     const auto n = static_cast<int>(track.hits.size()), more = n - static_cast<int>(last_found_.size());
     const bool is_open = track.has_gaps() && (n >= many_hits || track.score > per_hit * n);
-    if (track.hits == last_found_ || (number > 0 && std::abs(more) <= few_hits && !is_open)) break;
+    if (is_complete(track) || track.hits == last_found_ ||
+        (number > 0 && std::abs(more) <= few_hits && !is_open))
+      break;
     last_found_ = track.hits;
     start = track.helix;
     prior = track.covariance;
@@ -74,6 +77,27 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
     forced = {};
   }
   return std::abs(track.helix.d) <= settings_.max_d && std::abs(track.helix.z0) <= settings_.max_z;
+}
+
+// Whether another pass would find the same hits: they reach from the first to the last layer and fit well,
+// and the reference was at most a cell away from the track, so that the cells beside it were seen.
+bool Follower::is_complete(const FoundTrack& track) const {
+  if (track.spanned < static_cast<int>(detector_.wires.size()) || track.wires < many_wires ||
+      track.holes > 0 || track.has_gaps() || track.chi2 > good_chi2 * static_cast<double>(track.hits.size()))
+    return false;
+  std::size_t clusters = 0;
+  for (const GroupStep& step : group_.steps) {
+    if (!nearby_.expects(step)) continue;
+    const auto slab = static_cast<std::size_t>(step.slab);
+    const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(detector_.slabs[slab].gap)];
+    clusters += (layer.has_x ? 1 : 0) + (layer.has_v ? 1 : 0);
+  }
+  if (track.hits.size() < clusters + static_cast<std::size_t>(track.wires)) return false;
+  return std::ranges::all_of(group_.slots, [this](const Slot<double>& s) {
+    if (s.view != View::wire) return true;
+    const WireLayer& layer = detector_.wires[static_cast<std::size_t>(s.layer)];
+    return std::abs(dot(s.row, fitted_.x)) < 2 * pi * layer.r_end / layer.cells;
+  });
 }
 
 // One pass outward about `start`.

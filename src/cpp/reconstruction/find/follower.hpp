@@ -82,6 +82,7 @@ class Follower {
   void keep_used(const Branch& best);
   bool refit(const Branch& best, int times);
   void collect(const Branch& best, FoundTrack& track) const;
+  bool is_complete(const FoundTrack& track) const;
   Slot<double>& slot(std::int32_t number) { return group_.slots[static_cast<std::size_t>(number)]; }
 
   const Detector& detector_;
