@@ -1,4 +1,4 @@
-// Motion in a uniform field with the simulation's interface; `motion/field_motion.hpp` is for field maps.
+// Motion in a uniform field with the interface of the simulation; `motion/field_ahead.hpp` is for field maps.
 #pragma once
 
 #include "detector/detector.hpp"
