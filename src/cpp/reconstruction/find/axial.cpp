@@ -4,6 +4,7 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <functional>
 
 #include "common/angles.hpp"
@@ -18,9 +19,17 @@ constexpr int coarse = 64;  // columns and rows of the plane, from which depths 
 constexpr double cell_psi = 2 * pi / coarse;
 constexpr double beam_line = 5;  // mm, distance of tracks from the beam line that the fit expects
 // Where there are so many points, nearly all boxes of a coarse grid have points in all layers.
-constexpr int many_points = 300;
-constexpr int finest = 3;      // depth of a first grid
-constexpr double stale = 0.7;  // a finer grid is made anew when fewer of its points are left
+constexpr std::size_t many_points = 300;
+constexpr int finest = 3;          // depth of a first grid
+constexpr double rounding = 1e-3;  // of the height of a box, more than that of `float`
+constexpr double fresh = 0.7;      // a finer grid is made anew when fewer of its points are left
+
+// The first of half as many columns as there are that have a point on the half turn that leaves the beam
+// line.
+int first_column(const AxialPoint& point, int size) {
+  const double phi = std::atan2(point.y, point.x);
+  return static_cast<int>(std::ceil((phi + 2.5 * pi) * size / (2 * pi) - 0.5)) % size;
+}
 
 }  // namespace
 
@@ -56,8 +65,10 @@ void AxialSearch::start() {
   make_grid();
 }
 
-int AxialSearch::points_left() const {
-  return static_cast<int>(std::ranges::count(points_, false, &AxialPoint::left_out));
+// Whether many points of the first grid led to circles.
+bool AxialSearch::is_stale() const {
+  const auto left = static_cast<double>(std::ranges::count(points_, false, &AxialPoint::left_out));
+  return left < fresh * static_cast<double>(points_.size());
 }
 
 // The boxes of the first grid with enough layers.
@@ -65,13 +76,12 @@ void AxialSearch::make_grid() {
   heap_.clear();
   arena_.clear();
   divided_ = 0;
-  gridded_ = points_left();
+  std::erase_if(points_, [](const AxialPoint& p) { return p.left_out; });
   std::uint64_t layers = 0;
-  for (const AxialPoint& p : points_)
-    if (!p.left_out) layers |= p.layer;
+  for (const AxialPoint& p : points_) layers |= p.layer;
   first_depth_ = 0;
   if (std::popcount(layers) < hits_.least(largest_w_)) return;
-  while (first_depth_ < finest && gridded_ > many_points << first_depth_) ++first_depth_;
+  while (first_depth_ < finest && points_.size() > many_points << first_depth_) ++first_depth_;
   switch (first_depth_) {
     case 0:
       fill<1>();
@@ -87,54 +97,87 @@ void AxialSearch::make_grid() {
   }
   std::ranges::make_heap(heap_, std::less<>());
   const double width = cell_psi / (1 << first_depth_), height = 2 * largest_w_ / coarse / (1 << first_depth_);
-  reach_.clear();
-  for (const AxialPoint& p : points_)
-    reach_.push_back(p.per * (p.drift + 0.5 * width * std::hypot(p.x, p.y)) + 0.5 * height);
-}
-
-// Sets the bits of the rows that the curves cross in their column.
-template <std::size_t words>
-void AxialSearch::cross(const Curves& curves, std::array<std::uint64_t, words>& crossed) const {
-  constexpr int rows = 64 * words;
-  const double per_height = rows / (2 * largest_w_);
-  for (std::size_t side = 0; side < 2; ++side) {
-    const double low = (curves.low[side] + largest_w_) * per_height,
-                 high = (curves.high[side] + largest_w_) * per_height;
-    if (!(high >= 0 && low < rows)) continue;
-    set_bits(crossed, low > 0 ? static_cast<unsigned>(low) : 0,
-             high < rows ? static_cast<unsigned>(high) : rows - 1U);
+  bands_.clear();
+  for (const AxialPoint& p : points_) {
+    const double reach = p.per * (p.drift + 0.5 * width * std::hypot(p.x, p.y)) + (0.5 + rounding) * height;
+    bands_.x.push_back(static_cast<float>(p.x * p.per));
+    bands_.y.push_back(static_cast<float>(p.y * p.per));
+    bands_.reach.push_back(static_cast<float>(reach));
   }
 }
 
-// Counts the layers in the boxes that curves of their points cross, column by column.
+// Sets the bits of the rows that the two curves of a point cross in some columns of a block. The rows of all
+// columns are computed in a loop without branches.
+template <std::size_t words>
+void AxialSearch::cross(const AxialPoint& point, const Edges& edges, std::size_t from, std::size_t to,
+                        std::array<std::uint64_t, block * words>& crossed) const {
+  constexpr int rows = 64 * words;
+  const double per_row = rows / (2 * largest_w_) * point.per, shift = point.drift * per_row;
+  std::array<double, block + 1> across;
+  for (std::size_t i = 0; i <= block; ++i)
+    across[i] = (point.y * edges.cosine[i] - point.x * edges.sine[i]) * per_row + rows / 2;
+  std::array<std::array<std::int32_t, block>, 2> first, end;
+  for (std::size_t i = 0; i < block; ++i) {
+    const double low = std::min(across[i], across[i + 1]), high = std::max(across[i], across[i + 1]) + 1;
+    const auto bit = [i](double row) {
+      return static_cast<std::int32_t>(i) * rows +
+             static_cast<std::int32_t>(std::min(std::max(row, 0.0), double{rows}));
+    };
+    first[0][i] = bit(low - shift);
+    end[0][i] = bit(high - shift);
+    first[1][i] = bit(low + shift);
+    end[1][i] = bit(high + shift);
+  }
+  for (std::size_t i = from; i < to; ++i)
+    for (std::size_t side = 0; side < 2; ++side)
+      if (first[side][i] < end[side][i])
+        set_bits(crossed, static_cast<unsigned>(first[side][i]), static_cast<unsigned>(end[side][i] - 1));
+}
+
+// Counts the layers in the boxes that curves of their points cross, a block of columns at a time.
 template <std::size_t words>
 void AxialSearch::fill() {
-  constexpr int size = 64 * words;
-  const double width = 2 * pi / size, height = 2 * largest_w_ / size;
+  constexpr int size = 64 * words, columns = block;
+  constexpr double width = 2 * pi / size;
+  const double height = 2 * largest_w_ / size;
   const auto least = static_cast<unsigned>(hits_.least(largest_w_));
-  for (int column = 0; column < size; ++column) {
-    const double psi = -pi + column * width;
-    const Column edges(psi, width);
-    BitCounts<words> counts;
+  begins_.clear();
+  for (const AxialPoint& point : points_) begins_.push_back(first_column(point, size));
+  for (int begin = 0; begin < size; begin += columns) {
+    Edges edges;
+    for (int i = 0; i <= columns; ++i) {
+      edges.cosine[static_cast<std::size_t>(i)] = std::cos(-pi + (begin + i) * width);
+      edges.sine[static_cast<std::size_t>(i)] = std::sin(-pi + (begin + i) * width);
+    }
+    BitCounts<block * words> counts;  // of one column after the other
+    typename BitCounts<block * words>::Bits in_layer{};
     std::uint64_t layer = 0;
-    std::array<std::uint64_t, words> in_layer{};
-    for (const AxialPoint& point : points_) {
-      if (point.left_out || !edges.outward(point)) continue;
+    for (std::size_t number = 0; number < points_.size(); ++number) {
+      const AxialPoint& point = points_[number];
+      // Of the half turn of size/2 columns the block has the first ones, the last ones, all or none.
+      const int offset = (begins_[number] - begin + size) % size;
+      const int from = offset < columns ? offset : 0,
+                to = offset < columns ? columns : std::min(offset - size / 2, columns);
+      if (from >= to) continue;
       if (point.layer != layer) {  // points of a layer follow each other
         counts.add(in_layer);
         layer = point.layer;
         in_layer = {};
       }
-      cross(Curves(point, edges), in_layer);
+      cross<words>(point, edges, static_cast<std::size_t>(from), static_cast<std::size_t>(to), in_layer);
     }
     counts.add(in_layer);
     const auto enough = counts.at_least(least);
-    for (std::size_t word = 0; word < words; ++word)
+    for (std::size_t word = 0; word < enough.size(); ++word)
       for (std::uint64_t bits = enough[word]; bits != 0; bits &= bits - 1) {
-        const std::size_t row = 64 * word + static_cast<std::size_t>(std::countr_zero(bits));
-        const Box box{
-            counts.at(row), first_depth_, psi, -largest_w_ + static_cast<double>(row) * height, -1, -1,
-            circles_};
+        const std::size_t at = 64 * word + static_cast<std::size_t>(std::countr_zero(bits));
+        const Box box{counts.at(at),
+                      first_depth_,
+                      -pi + (begin + static_cast<int>(at / size)) * width,
+                      -largest_w_ + static_cast<double>(at % size) * height,
+                      -1,
+                      -1,
+                      circles_};
         if (is_worth(box)) heap_.push_back(box);
       }
   }
@@ -145,12 +188,18 @@ void AxialSearch::collect(Box& box) {
   const double scale = 1.0 / (1 << box.depth), width = cell_psi * scale,
                height = 2 * largest_w_ / coarse * scale;
   const Column edges(box.psi, width);
-  const double middle = box.psi + 0.5 * width, c = std::cos(middle), s = std::sin(middle),
-               w = box.w + 0.5 * height;
+  const double middle = box.psi + 0.5 * width;
   box.first = static_cast<std::int32_t>(arena_.size());
-  for (std::size_t i = 0; i < points_.size(); ++i) {
-    const AxialPoint& point = points_[i];
-    if (std::abs((point.y * c - point.x * s) * point.per - w) > reach_[i]) continue;
+  const auto x = static_cast<float>(std::sin(middle)), y = static_cast<float>(std::cos(middle)),
+             w = static_cast<float>(box.w + 0.5 * height);
+  near_.resize(points_.size());
+  for (std::size_t i = 0; i < near_.size(); ++i)
+    near_[i] = std::abs(bands_.y[i] * y - bands_.x[i] * x - w) <= bands_.reach[i] ? 1 : 0;
+  const std::uint8_t *const begin = near_.data(), *const end = begin + near_.size(), *at = begin;
+  while (at < end && (at = static_cast<const std::uint8_t*>(
+                          std::memchr(at, 1, static_cast<std::size_t>(end - at)))) != nullptr) {
+    const auto i = at++ - begin;
+    const AxialPoint& point = points_[static_cast<std::size_t>(i)];
     if (!point.left_out && edges.outward(point) && Curves(point, edges).cross(box.w, box.w + height))
       arena_.push_back(static_cast<std::int32_t>(i));
   }
@@ -194,7 +243,7 @@ void AxialSearch::divide(const Box& box) {
 
 // The count of a box is that of all its points when it was made; points left out since then lower it.
 std::optional<FoundCircle> AxialSearch::next() {
-  if (first_depth_ > 0 && points_left() < stale * gridded_) make_grid();
+  if (first_depth_ > 0 && is_stale()) make_grid();
   while (!heap_.empty() && divided_ < most_boxes) {
     std::ranges::pop_heap(heap_, std::less<>());
     Box box = heap_.back();

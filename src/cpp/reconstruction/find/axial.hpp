@@ -78,12 +78,18 @@ class AxialSearch {
       return ((high[0] >= from) & (low[0] <= to)) | ((high[1] >= from) & (low[1] <= to));
     }
   };
+  static constexpr std::size_t block = 32;  // columns that are filled together, at most half of a grid
+  struct Edges {
+    std::array<double, block + 1> cosine, sine;
+  };
+
   void make_grid();
+  bool is_stale() const;
   template <std::size_t words>
   void fill();
   template <std::size_t words>
-  void cross(const Curves& curves, std::array<std::uint64_t, words>& crossed) const;
-  int points_left() const;
+  void cross(const AxialPoint& point, const Edges& edges, std::size_t from, std::size_t to,
+             std::array<std::uint64_t, block * words>& crossed) const;
   void collect(Box& box);
   void divide(const Box& box);
   void push(const Box& box);
@@ -95,12 +101,22 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
-  std::vector<double>
-      reach_;  // of each point: from the curvature in the middle of a box of the first grid, 1/mm
+  // Of each point: y cos psi - x sin psi is the curvature between both sides, and how far from it in the
+  // middle of a box of the first grid the point may be on the box, 1/mm.
+  struct Bands {
+    std::vector<float> x, y, reach;
+    void clear() {
+      x.clear();
+      y.clear();
+      reach.clear();
+    }
+  };
+  Bands bands_;
+  std::vector<std::uint8_t> near_;
+  std::vector<int> begins_;  // of each point, its first column in the first grid
   std::vector<Box> heap_;
   std::vector<std::int32_t> arena_;
   int first_depth_ = 0;  // of the boxes of the first grid
-  int gridded_ = 0;      // points when it was made
   int divided_ = 0, circles_ = 0;
 };
 

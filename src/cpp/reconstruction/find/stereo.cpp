@@ -100,6 +100,36 @@ void StereoSearch::strips_alone(const FoundCircle& circle, const EventHits& hits
   }
 }
 
+// Counts the layers in the bins of each slope. A height is read once, for the slopes that lead from it to a
+// bin.
+void StereoSearch::count() {
+  constexpr double step = 2 * largest_tanl / slopes;
+  const double per_bin = bins / (2 * settings_.max_z);
+  counts_.clear();
+  BitCounts<slopes>::Bits in_layer{};
+  std::uint64_t layer = 0;
+  for (const Height& height : heights_) {
+    if (height.layer != layer) {  // heights of a layer follow each other
+      counts_.add(in_layer);
+      layer = height.layer;
+      in_layer = {};
+    }
+    // The place in bins is from - slope * s at the middle of a slope.
+    const double s = std::max(height.s * step * per_bin, 1e-9),
+                 from = (height.z + settings_.max_z + largest_tanl * height.s) * per_bin - 0.5;
+    const auto slope = [&](double place) {
+      return std::clamp((from - place) / s - 0.5, 0.0, static_cast<double>(slopes));
+    };
+    const int last = static_cast<int>(std::ceil(slope(0)));
+    for (int i = static_cast<int>(slope(bins - 1)); i < last; ++i) {
+      const double place = from - (i + 0.5) * s;
+      if (place >= 0 && place < bins - 1)
+        in_layer[static_cast<std::size_t>(i)] |= std::uint64_t{3} << static_cast<int>(place);
+    }
+  }
+  counts_.add(in_layer);
+}
+
 const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, const EventHits& hits,
                                                  std::size_t most) {
   heights_.clear();
@@ -109,33 +139,18 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
   wires(circle, hits);
   cut_ = cut_ || heights_.size() > most_heights;
   if (heights_.size() > most_heights) heights_.resize(most_heights);
-  const double step = 2 * largest_tanl / slopes, bin = 2 * settings_.max_z / bins, per_bin = 1 / bin;
-  for (int i = 0; i < slopes; ++i) {
-    const double tanl = -largest_tanl + (i + 0.5) * step;
-    BitCounts<1>& counts = counts_[static_cast<std::size_t>(i)];
-    counts.clear();
-    std::uint64_t layer = 0, in_layer = 0;
-    for (const Height& height : heights_) {
-      if (height.layer != layer) {  // heights of a layer follow each other
-        counts.add({in_layer});
-        layer = height.layer;
-        in_layer = 0;
-      }
-      const double place = (height.z - tanl * height.s + settings_.max_z) * per_bin - 0.5;
-      if (place >= 0 && place < bins - 1) in_layer |= std::uint64_t{3} << static_cast<int>(place);
-    }
-    counts.add({in_layer});
-  }
-  std::array<BitCounts<1>::Bits, slopes> open;  // bins that no line was near
-  open.fill({~std::uint64_t{0}});
+  count();
+  const double step = 2 * largest_tanl / slopes, bin = 2 * settings_.max_z / bins;
+  BitCounts<slopes>::Bits open;  // bins that no line was near
+  open.fill(~std::uint64_t{0});
   for (std::size_t number = 0; number < most; ++number) {
     int best = 0, slope = 0,
         offset = 0;  // of the bins with most layers, the one whose z0 is closest to the origin
     for (int i = 0; i < slopes; ++i) {
       const auto [layers, where] =
-          counts_[static_cast<std::size_t>(i)].most(open[static_cast<std::size_t>(i)]);
+          counts_.most(static_cast<std::size_t>(i), open[static_cast<std::size_t>(i)]);
       if (layers < best) continue;
-      const int nearest = closest_to_middle(where[0]);
+      const int nearest = closest_to_middle(where);
       if (layers == best && std::abs(nearest - bins / 2) >= std::abs(offset - bins / 2)) continue;
       best = layers;
       slope = i;
@@ -147,7 +162,7 @@ const std::vector<FoundLine>& StereoSearch::find(const FoundCircle& circle, cons
     constexpr int around = 5;  // bins
     const int low = std::max(0, offset - around), high = std::min(bins - 1, offset + around);
     for (int i = std::max(0, slope - around); i <= std::min(slopes - 1, slope + around); ++i)
-      open[static_cast<std::size_t>(i)][0] &= ~((~std::uint64_t{0} >> (bins - 1 - high + low)) << low);
+      open[static_cast<std::size_t>(i)] &= ~((~std::uint64_t{0} >> (bins - 1 - high + low)) << low);
   }
   return lines_;
 }

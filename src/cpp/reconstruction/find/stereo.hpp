@@ -38,12 +38,13 @@ class StereoSearch {
   void wires(const FoundCircle& circle, const EventHits& hits);
   void strips(const FoundCircle& circle, const EventHits& hits);
   void strips_alone(const FoundCircle& circle, const EventHits& hits);
+  void count();
   std::optional<FoundLine> line(double z0, double tanl) const;
 
   const Detector& detector_;
   const FindSettings& settings_;
   std::vector<Height> heights_;
-  std::array<BitCounts<1>, slopes> counts_;  // of each slope, the layers in each bin of z0
+  BitCounts<slopes> counts_;  // a word for each slope: the layers in each bin of z0
   std::vector<FoundLine> lines_;
   bool cut_ = false;
 };
