@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/angles.hpp"
+#include "common/compiler.hpp"
 #include "common/lanes/math.hpp"
 #include "common/units.hpp"
 #include "detector/detector.hpp"
@@ -17,6 +18,12 @@ inline Wire place_wire(const WireLayer& layer, int number) {
   const double length = std::sqrt(ex * ex + ey * ey + ez * ez);
   return {0.5 * layer.r_end * (std::cos(east) + std::cos(west)),
           0.5 * layer.r_end * (std::sin(east) + std::sin(west)), ex / length, ey / length, ez / length};
+}
+
+// Wires are spread over the memory.
+inline void prefetch(const Wire& wire) {
+  prefetch(static_cast<const void*>(&wire.x));
+  prefetch(static_cast<const void*>(&wire.ez));  // may be in the next cache line
 }
 
 // Distance of the layer's wires from the beam line at z; smallest in the middle of a stereo layer.

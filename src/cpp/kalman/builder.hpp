@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "common/compiler.hpp"
+#include "detector/wires.hpp"
 #include "kalman/group.hpp"
 
 namespace cgemit {
@@ -72,10 +73,6 @@ class GroupBuilder {
 
   const Wire& wire_of(const Hit& hit) const {
     return detector_.wires[static_cast<std::size_t>(hit.layer)].placed[static_cast<std::size_t>(hit.channel)];
-  }
-  static void prefetch(const Wire& wire) {
-    cgemit::prefetch(&wire.x);
-    cgemit::prefetch(&wire.ez);  // may be in the next cache line
   }
 
   // f(hit number, step, second, number): `second` is true for V clusters, which follow the X clusters of all

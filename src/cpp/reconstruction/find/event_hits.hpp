@@ -41,7 +41,9 @@ class EventHits {
         // track.
         if (cell(hit) >= 0 || hit.value > reach(hit)) continue;
         cell(hit) = static_cast<std::int32_t>(hits_.size());
-        ++fired_[static_cast<std::size_t>(hit.layer)];
+        const auto layer = static_cast<std::size_t>(hit.layer);
+        ++fired_[layer];
+        prefetch(detector_.wires[layer].placed[static_cast<std::size_t>(hit.channel)]);
       }
       hits_.push_back(hit);
       sources_.push_back(first + i);
