@@ -94,6 +94,31 @@ def _peers(rows: Sequence[peers.Peer]) -> str:
     return table(["", "ACTS, µs", "cgemit with", "cgemit, µs", "ratio"], lines)
 
 
+def _peers_fields(rows: Sequence[peers.Peer]) -> str:
+    """Return the times in both fields and their ratio for each program, with the widest instruction set."""
+    widest = rows[-1].isa
+    costs = {(row.what, row.case): row for row in rows if row.isa == widest}
+    lines = []
+    for what in dict.fromkeys(what for what, _ in costs):
+        uniform, solenoid = (costs[what, field] for field in peers.FIELDS)
+        for name, one, other in (
+            ("ACTS", uniform.acts_us, solenoid.acts_us), (f"cgemit, {widest}", uniform.us, solenoid.us)
+        ):  # fmt: skip
+            lines.append([what, name, f"{one:.1f}", f"{other:.1f}", f"{other / one:.2f}"])
+    return table(["", "program", "uniform, µs", "solenoid, µs", "solenoid over uniform"], lines)
+
+
+def _finding(rows: Sequence[peers.Found]) -> str:
+    lines = []
+    for row in rows:
+        acts, own = row.acts_seeding_us + row.acts_ckf_us, row.find_us + row.fit_us
+        lines.append([str(row.tracks), f"{row.acts_seeding_us:.0f}", f"{row.acts_ckf_us:.0f}", f"{row.acts_found:.1%}",
+                      f"{row.find_us:.0f}", f"{row.fit_us:.0f}", f"{row.found:.1%}", f"{acts / own:.1f}"])  # fmt: skip
+    head = ["muons of the event", "ACTS: seeds, µs", "ACTS: CKF, µs", "ACTS: found", "cgemit: finding, µs",
+            "cgemit: fit, µs", "cgemit: found", "ratio"]  # fmt: skip
+    return table(head, lines)
+
+
 def _slow_fits(rows: Sequence[peers.Peer]) -> str:
     """Return the ratios of the fits at 0.3 GeV/c, by instruction set."""
     fits = [row for row in rows if row.case.startswith("0.3 GeV") and row.what.startswith("fit, smoother")]
@@ -159,6 +184,9 @@ def blocks(found: Found) -> dict[str, str]:
         "scatterers": str(len(slabs(cg.load(DETECTOR)))),
         "peers": _peers([row for row in rows["peers"] if row.case.startswith("1 GeV")]),
         "peers-slow": _slow_fits(rows["peers"]),
+        "peers-machine": f"{found['peers_finding'].about['machine']}; `{every['peers_finding'][0].isa}`",
+        "peers-fields": _peers_fields(every["peers_fields"]),
+        "peers-finding": _finding(every["peers_finding"]),
         "programs": table(
             ["program", "µs per muon", "what it does"], [list(row.values()) for row in read("programs.csv")]
         ),
@@ -255,6 +283,8 @@ PAGE = Page(
         "sweeps": (designs.SweepCost, designs.measure_sweeps),
         "operations": (operations.Counts, operations.measure),
         "peers": (peers.Peer, peers.measure),
+        "peers_fields": (peers.Peer, peers.measure_fields),
+        "peers_finding": (peers.Found, peers.measure_finding),
     },
     blocks,
     {

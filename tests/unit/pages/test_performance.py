@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from cgemit.base import isa
-from cgemit.detector import load
+from cgemit.detector import field_at, load
 from cgemit.detector.readouts import Apv25Readout, TigerReadout
 from cgemit.simulation.digitize import digitizer_of
 from pages.page import MissingToolError, Numbers, Page
-from pages.performance import PAGE, operations, scaling, simulation, stages
+from pages.performance import PAGE, operations, peers, scaling, simulation, stages
 from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
 
 # As callgrind writes it: names are spelled out once, also where a function of another library is called; places count
@@ -193,3 +193,32 @@ def test_scaling_draws_its_numbers() -> None:
         assert f"{power:.2f}" in line.get_label()
         assert "µs" in axes.get_ylabel()
     plt.close(figure)
+
+
+def test_muons_are_found_by_momentum_and_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, "IN_ALL", 4)
+    momentum, measurements = np.array([1.0, 1.09, 1.11, 0.95, 0.0]), np.array([20, 38, 38, 19, 38])
+    assert peers.found(momentum, measurements, 1.0) == 0.5
+
+
+def test_both_programs_find_the_muons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("acts")
+    monkeypatch.setattr(peers, "IN_ALL", 40)
+    detector = load(DETECTOR)
+    built = peers.geometry(peers.cylinders(detector), tmp_path)
+    theirs, ours = peers.find_acts(built, tmp_path, 4, 1, 1.0, 0.8), peers.find_cgemit(detector, 4, 1.0, 0.8)
+    assert theirs["found"] >= 0.95
+    assert ours["found"] >= 0.95
+    assert all(theirs[name] > 0 for name in (*peers.SEEDING, *peers.FOLLOWING))
+    assert ours["find"] > 0
+    assert ours["fit"] > 0
+
+
+def test_both_programs_have_the_same_field(tmp_path: Path) -> None:
+    acts = pytest.importorskip("acts")
+    field = peers.acts_field("finite-solenoid", tmp_path)
+    cache = field.makeCache(acts.MagneticFieldContext())
+    points = [(0.0, 0.0, 0.0), (300.0, 0.0, 500.0), (705.0, 0.0, -1010.0)]
+    theirs = [list(field.getField(acts.Vector3(*point), cache)) for point in points]
+    ours = field_at(load(DETECTOR).with_field("finite-solenoid"), points)
+    np.testing.assert_allclose(np.array(theirs) / acts.UnitConstants.T, -ours, atol=2e-4)
