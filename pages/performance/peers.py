@@ -41,7 +41,7 @@ TRACKS, IN_ALL, TURNS = (1, 4, 16, 64), 1280, 5  # muons of an event that are to
 SEEDING = ("SpacePointMaker", "GridTripletSeedingAlgorithm", "TrackParamsEstimationAlgorithm", "SeedsToTracks")
 FOLLOWING = ("TrackFindingAlgorithm", "GreedyAmbiguityResolutionAlgorithm")
 CGEM_VOLUMES = (3, 4, 5)  # numbers of `geometry`: the vacuum has 1, the beam pipe 2
-#: A muon is found if a track has so many measurements and its momentum within so much.
+#: A track counts as a muon that is found if it has so many measurements and a momentum within so much of the muons'.
 LEAST, WITHIN = 20, 0.1
 SIGMA_RPHI, SIGMA_Z = 0.139, 0.240  # mm, of the CGEM layers; the wires' error is that of the detector
 HALF_LENGTH = 1600.0  # mm, so that every muon crosses every layer
@@ -306,7 +306,7 @@ def find_acts(built: Any, folder: Path, tracks: int, seed: int, p: float, cos_th
 
 
 def found(momentum: Any, measurements: Any, p: float) -> float:
-    """Return how many of `IN_ALL` muons were found."""
+    """Return the tracks that count as found muons, divided by `IN_ALL`; tracks are not matched to muons."""
     return float(np.sum((measurements >= LEAST) & (np.abs(momentum - p) < WITHIN * p)) / IN_ALL)
 
 

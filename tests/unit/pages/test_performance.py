@@ -14,7 +14,7 @@ from cgemit.detector import field_at, load
 from cgemit.detector.readouts import Apv25Readout, TigerReadout
 from cgemit.simulation.digitize import digitizer_of
 from pages.page import MissingToolError, Numbers, Page
-from pages.performance import PAGE, operations, peers, scaling, simulation, stages
+from pages.performance import PAGE, blocks, operations, peers, scaling, simulation, stages
 from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
 
 # As callgrind writes it: names are spelled out once, also where a function of another library is called; places count
@@ -222,3 +222,28 @@ def test_both_programs_have_the_same_field(tmp_path: Path) -> None:
     theirs = [list(field.getField(acts.Vector3(*point), cache)) for point in points]
     ours = field_at(load(DETECTOR).with_field("finite-solenoid"), points)
     np.testing.assert_allclose(np.array(theirs) / acts.UnitConstants.T, -ours, atol=2e-4)
+
+
+def test_tables_of_peers_show_what_was_measured() -> None:
+    found = PAGE.read()
+    rows = found["peers_finding"].rows
+    shown = _cells(blocks(found)["peers-finding"])
+    assert len(shown) == len(rows) == len(peers.TRACKS)
+    for cells, row in zip(shown, rows, strict=True):
+        acts, own = row.acts_seeding_us + row.acts_ckf_us, row.find_us + row.fit_us
+        assert cells[0] == str(row.tracks)
+        assert float(cells[3].rstrip("%")) == pytest.approx(100 * row.acts_found, abs=0.051)
+        assert float(cells[6].rstrip("%")) == pytest.approx(100 * row.found, abs=0.051)
+        assert float(cells[7]) == pytest.approx(acts / own, abs=0.051)
+    costs = {(row.what, row.case, row.isa): row for row in found["peers_fields"].rows}
+    for what, program, *times in _cells(blocks(found)["peers-fields"]):
+        name, _, isa = program.partition(", ")
+        uniform, solenoid = (costs[what, field, isa or "scalar"] for field in peers.FIELDS)
+        one, other = (row.acts_us if name == "ACTS" else row.us for row in (uniform, solenoid))
+        assert [float(time) for time in times[:2]] == pytest.approx([one, other], abs=0.051)
+        assert float(times[2]) == pytest.approx(other / one, abs=0.0051)
+
+
+def _cells(table: str) -> list[list[str]]:
+    """Return the cells of the rows below the head of a table."""
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.strip().splitlines()[2:]]

@@ -101,8 +101,8 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
-  // Of each point: y cos psi - x sin psi is the curvature between both sides, and how far from it in the
-  // middle of a box of the first grid the point may be on the box, 1/mm.
+  // Of each point: between its two sides it has the curvature y cos psi - x sin psi, 1/mm. `reach`: how far
+  // the middle of a box of the first grid is from that at most, if one of its curves crosses the box.
   struct Bands {
     std::vector<float> x, y, reach;
     void clear() {
