@@ -98,8 +98,8 @@ cg.study.pulls(result)
 # %% [markdown]
 # ## A variant
 #
-# What does a finer first layer bring? Three lines: a base, a name, what differs. The seed is the same, so that both
-# designs see the same particles.
+# What does a finer first layer bring? A variant needs a base, a name and the changed values. The seed is the same, so
+# that both designs see the same particles.
 
 # %%
 fine = cg.load({"base": "besiii-cgem-design", "name": "fine-L1", "cgem": {"L1": {"pitch_x": "400 um"}}})

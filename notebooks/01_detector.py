@@ -14,8 +14,8 @@
 # # What a tracker is made of
 #
 # A detector is one immutable description: field, matter, strips, wires. This notebook looks at the layers of the CGEM
-# tracker of arXiv:1504.02570, adds up their matter, changes them, and reads what every number does to the resolution.
-# The keys of a description are listed in [the page on detectors](../docs/methods/detector.md).
+# tracker of arXiv:1504.02570, adds up their matter, changes them, and computes the sensitivity of the resolutions to
+# each number. The keys of a description are listed in [the page on detectors](../docs/methods/detector.md).
 
 # %%
 import cgemit as cg
@@ -61,8 +61,8 @@ print(f"inside the chamber {sum(row['x0_percent'] for row in parts):.2f} % of X0
 # %% [markdown]
 # ## Variants
 #
-# A variant changes some keys; all that depends on them is computed anew. `bounds` tells how far a number can go
-# before parts touch.
+# A variant changes some keys; dependent values are recomputed. `bounds` gives the range of a number in which parts do
+# not overlap.
 
 # %%
 detector.bounds("cgem.L2.anode_radius")
@@ -81,7 +81,7 @@ except cg.DetectorError as error:
     print(error)
 
 # %% [markdown]
-# ## What the numbers do
+# ## Sensitivities
 #
 # `sensitivity` gives the change of each resolution for 1 % more of each number of the design, `budget` splits the
 # variance of one by its causes ([how](../docs/methods/analytic.md)).

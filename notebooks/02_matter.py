@@ -32,8 +32,8 @@ detector = cg.load("besiii-cgem-design")
 # ## Layer by layer
 #
 # Each scatterer is a group of sub-layers: thickness in radiation lengths, and the energy that a muon of 1 GeV/c loses
-# in it on average. Beam pipe, separator and the three layers share the matter; the gas of 60 cm of drift chamber is a
-# twenty-sixth of the whole.
+# in it on average. Most matter is in the beam pipe, the three layers and the separator; 58 cm of chamber gas are 4 % of
+# the total.
 
 # %%
 parts = describe(detector)["material"]
@@ -52,8 +52,8 @@ axes.grid(alpha=0.3)
 # %% [markdown]
 # ## A slab alone: scattering
 #
-# `cg.slab` sends particles through layers of matter. Most angles are a Gaussian of many soft scatters; a single hard
-# scatter makes the tail that no Gaussian has: the width that holds 99.9 % is three times what the core suggests.
+# `cg.slab` sends particles through layers of matter. Many soft scatters give a Gaussian core, single hard scatters a
+# tail: the half width of 99.9 % is three times that of a Gaussian with this core.
 
 # %%
 layer = "Kapton 300 um + Cu 33 um + CarbonFiber 120 um + Epoxy 150 um"

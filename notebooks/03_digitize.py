@@ -76,7 +76,7 @@ for name, run in runs.items():
 runs["tiger"].digis
 
 # %% [markdown]
-# Charges of a binary readout are shares of the deposit. A chip sees fluctuations of ionization and gain, loses what is
+# Charges of a binary readout are shares of the deposit. A chip sees fluctuations of ionization and gain, loses charge
 # below its threshold (2 and 1.67 fC) and saturates at 48 fC (TIGER) or 60 fC (APV25).
 
 # %%

@@ -105,7 +105,7 @@ axes.grid(alpha=0.3)
 # ## Angle of incidence
 #
 # In a beam on a nearly plane layer at 1 T, tracks along the drift direction (positive angles) have sharp centroids and
-# no lever arm for the micro-TPC fit; on the other side it is the other way round.
+# no lever arm for the micro-TPC fit; for negative angles the micro-TPC is better.
 
 # %%
 angles = scan(tiger, "angle", np.linspace(-30, 30, 7), bz=1.0, n=600)

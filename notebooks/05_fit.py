@@ -14,9 +14,9 @@
 # # One track, from hits to helix
 #
 # The fit turns 3 CGEM clusters and some 40 drift distances into the five parameters of a helix at the origin, with a
-# covariance. This notebook looks over its shoulder: how it settles, how every hit makes the error ellipse smaller and
-# matter makes it larger, what each hit says of the others, and whether errors can be believed. Derivations are in
-# [fit](../docs/methods/fit.md), the checks in [validation](../docs/validation.md).
+# covariance. This notebook shows how the fit converges, how hits reduce the covariance and matter increases it, the
+# residual of each hit, and the pulls. Derivations are in [fit](../docs/methods/fit.md), the checks in
+# [validation](../docs/validation.md).
 
 # %%
 from dataclasses import replace
@@ -75,9 +75,9 @@ for iterations in range(1, int(final["iterations"]) + 1):
 # ## The shrinking error ellipse
 #
 # The filter goes inward: the outer wires first, the first CGEM layer last. After each group of hits the state at the
-# origin has a covariance, the matter on the way in included. Wires alone know the curvature, and little of the vertex;
-# the CGEM layers bring the closest approach and z from centimetres to a fraction of a millimetre. Each of these fits
-# begins at the final helix: a few hits make no first helix of their own.
+# origin has a covariance, the matter on the way in included. Wires alone measure the curvature well and the vertex
+# poorly; the CGEM layers bring the closest approach and z from centimetres to a fraction of a millimetre. Each of these
+# fits begins at the final helix: a few hits make no first helix of their own.
 
 # %%
 radius = {layer.number: layer.r_mid for layer in detector.drift_chamber.layers}
@@ -122,7 +122,7 @@ for name, state in states.items():
     print(f"{name:15} dr {sigma[0]:8.3f} mm   dz {sigma[3]:9.3f} mm   kappa {relative:5.2f} %")
 
 # %% [markdown]
-# ## What a hit says of the others
+# ## Unbiased residuals
 #
 # The smoother goes outward again and compares every hit with the track fitted without it. The difference over its error
 # is a pull of width 1; one hit in a hundred is beyond 2.6, and a noise hit far out.
@@ -170,8 +170,8 @@ right.set(xlabel="chi-square probability", ylim=(0, None))
 left.legend()
 
 # %% [markdown]
-# A wrong belief shows at once: a fit that takes the field for 0.3 % stronger than it is finds momenta 0.3 % too high,
-# most of a standard deviation.
+# A fit that assumes a field 0.3 % stronger than the real one finds momenta 0.3 % too high, most of a standard
+# deviation.
 
 # %%
 believed = detector.with_overrides({"field.bz": "-1.003 T"})

@@ -27,8 +27,8 @@ points = Evaluation(p=[0.3, 1.0], cos_theta=0.0)
 # %% [markdown]
 # ## What matters
 #
-# The budget says where the variance comes from. For $d_\rho$ it is the first layer; for p the drift chamber, which the
-# CGEM layers cannot help.
+# The budget says where the variance comes from. For $d_\rho$ it is the first layer; for p the drift chamber: changes of
+# the CGEM layers have little effect.
 
 # %%
 covariance = cg.analytic(detector, "mu-", p=[0.3, 1.0])
@@ -42,7 +42,7 @@ for quantity, point in (("dr", 0), ("p", 1)):
 # %% [markdown]
 # ## Exchange rates
 #
-# One percent of what is worth one percent of what? Patterns change all layers together.
+# The change of each resolution if a parameter is reduced by 10 %. Patterns change all layers together.
 
 # %%
 electrodes = "cgem.*.cathode.*.thickness, cgem.*.foil.*.thickness, cgem.*.anode.*.thickness"
@@ -137,11 +137,11 @@ for name, start in (("the electrodes of the design", detector), ("electrodes 20 
     print(f"{name:29}: {channels[name]} channels instead of 10010")
 
 # %% [markdown]
-# ## Trade
+# ## Trade-offs
 #
-# All at once: the Pareto front of $\sigma(d_\rho)$, $\sigma(p)$ and channels by NSGA-II, with the same limits on $d_z$
-# and the space between parts. 810 designs show the shape of the front; it still moves with more `calls`, and the optima
-# above lie beyond it.
+# The Pareto front of $\sigma(d_\rho)$, $\sigma(p)$ and channels by NSGA-II, with the same limits on $d_z$ and the space
+# between parts. 810 designs show the shape of the front; it still moves with more `calls`, and the optima above lie
+# beyond it.
 
 # %%
 front = optimize(
@@ -188,5 +188,5 @@ print(f"sigma(p) at 1 GeV/c is {momenta.min():.2f} to {momenta.max():.2f} MeV/c 
 #   outward, $\sigma(d_\rho)$ at 0.3 GeV/c falls by a fifth without one more channel.
 # - **Pitch** counts in the first layer. The outer layers can have coarser strips.
 # - **Material**: electrodes 20 % thinner save 7 % of the channels at the same resolution.
-# - **$\sigma(p)$** is no reason to change the CGEM: it moves by some percent over the whole front, since wires and gas
-#   of the drift chamber make it.
+# - **$\sigma(p)$** is no reason to change the CGEM: it moves by some percent over the whole front, because wires and
+#   gas of the drift chamber dominate it.

@@ -13,9 +13,9 @@
 # %% [markdown]
 # # Finding tracks
 #
-# Until here, hits were assigned to tracks by truth. `finder="ckf"` finds tracks from clusters and wire hits alone. This
-# notebook looks at one event with background, measures the efficiency, and finds K_S mesons by their mass. Methods are
-# in [finding](../docs/methods/find.md), [background](../docs/methods/background.md),
+# In the other notebooks, hits are assigned to tracks by truth. `finder="ckf"` finds tracks from clusters and wire hits
+# alone. This notebook looks at one event with background, measures the efficiency, and finds K_S mesons by their mass.
+# Methods are in [finding](../docs/methods/find.md), [background](../docs/methods/background.md),
 # [samples](../docs/methods/samples.md) and [vertices](../docs/methods/vertex.md).
 
 # %%
@@ -30,8 +30,8 @@ noise = cg.Settings(background=cg.BackgroundSettings(level="bes2026"), find=cg.F
 # %% [markdown]
 # ## An event
 #
-# A sample stands in place of a gun. Here are pi+ pi- J/psi, J/psi → mu+ mu-, with cells and strips that fire
-# without a particle, as at BESIII.
+# A sample replaces the gun. Here are pi+ pi- J/psi, J/psi → mu+ mu-, with cells and strips that fire without a
+# particle, as at BESIII.
 
 # %%
 one = cg.run(detector, cg.sample("pipi-jpsi"), n=1, seed=4, settings=noise, finder="ckf")

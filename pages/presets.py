@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cgemit as cg
+from cgemit.detector.export import describe
 from cgemit.detector.gas import layer_drift
 from cgemit.draw.detector import draw_rz
 from cgemit.draw.style import mathematical
@@ -20,6 +21,7 @@ PRESETS = (
     *("epic-like", "idea-like", "cepc-like"),
 )
 MOMENTA = (1.0, 10.0)
+BESIII = ("besiii-cgem-design", "besiii-cgem")  # whose CGEM layers are in a table
 
 #: Quantity -> its name and unit.
 QUANTITIES = {"p": ("σ(p)/p", "%"), "dr": ("σ(d_ρ)", "µm"), "dz": ("σ(d_z)", "µm")}
@@ -102,7 +104,32 @@ def blocks(found: Found) -> dict[str, str]:
         for quantity, (name, _) in QUANTITIES.items():
             rows = [row for row in found["epic"].rows if (row.low, row.quantity) == (low, quantity)]
             ratios.append([f"{name}, {low:g} < η < {high:g}", *(f"{row.expected / row.published:.2f}" for row in rows)])
-    return {"expected": table(head, lines), "published": table(of_epic, ratios), "lorentz": _lorentz_shifts()}
+    return {
+        "expected": table(head, lines), "published": table(of_epic, ratios), "layers": _layers(),
+        "lorentz": _lorentz_shifts(),
+    }  # fmt: skip
+
+
+def _layers() -> str:
+    """Return the table of the CGEM layers of BESIII."""
+    head = [
+        "layer", "strips at r, length [mm]", "drift gap [mm]", "sheets", "X, V strips", "pitch [µm]", "stereo [°]",
+        "X/X0 [%]", "cos θ up to ±",
+    ]  # fmt: skip
+    lines = []
+    for name in BESIII:
+        parts = describe(cg.load(name))
+        for layer in parts["cgem"]:
+            r, half = layer["r_readout_mm"], layer["length_mm"] / 2
+            matter = sum(part["x0_percent"] for part in parts["material"] if part["part"].split()[0] == layer["layer"])
+            strips = ", ".join(f"{layer['sheets'] * layer[f'strips_{view}']}" for view in "xv")
+            stereo = f"{layer['stereo_deg']:.1f}".replace("-", "−")
+            lines.append([
+                f"`{name}` {layer['layer']}", f"{r:.1f}, {layer['length_mm']:g}", f"{layer['drift_gap_mm']:.2f}",
+                f"{layer['sheets']}", strips, f"{layer['pitch_x_um']:g}", stereo, f"{matter:.2f}",
+                f"{half / np.hypot(half, r):.3f}",
+            ])  # fmt: skip
+    return table(head, lines)
 
 
 def _lorentz_shifts() -> str:

@@ -77,13 +77,16 @@ def blocks(found: Found) -> dict[str, str]:
     faster = [row.acts_us / row.us for row in fits if row.case.startswith("1 GeV")]
     ratios = [row.ratio for row in covariance.PAGE.read()["ratios"].rows]
     study = {row.id: row for row in paper.PAGE.read()["study"].rows}
-    epic = [row for row in presets.PAGE.read()["epic"].rows if row.high <= 0.5]
+    cgem, idc = (cg.analytic(name, "mu-", p=MOMENTA, cos_theta=ANGLES) for name in DETECTORS)
+    epic = presets.PAGE.read()["epic"].rows
     return {
         "angle": span([row.value / row.reference for row in slabs if row.quantity == "q68_mrad"]),
         "loss": span([row.value / row.reference for row in slabs if row.quantity == "loss_kev_q50"]),
         "speed": f"{min(faster):.0f} to {max(faster):.0f}",
         "ratios": span(np.percentile(ratios, [2.5, 97.5]).tolist()),
         "points": f"{len(ratios)}",
+        "better-dz": span((idc.sigma_dz / cgem.sigma_dz).tolist()),
+        "worse-dr": span((cgem.sigma_dr / idc.sigma_dr).tolist()),
         "epic": span([row.expected / row.published for row in epic]),
         "dr": f"{study['sigma_dr'].value:.0f}",
         "dz": f"{study['sigma_dz'].value:.2f}",

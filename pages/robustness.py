@@ -158,7 +158,7 @@ def blocks(found: Found) -> dict[str, str]:
             continue
         cells = [f"{row.fitted:.2f}", f"{row.p:.2f}", f"{row.dr:.0f}", f"{row.pull_kappa:.2f}"]
         lines.append([f"{row.name}: {row.text}", *cells])
-    head = ["tracks", "fitted %", "p %", "dr µm", "pull of kappa"]
+    head = ["tracks", "fitted, %", "σ(p)/p, %", "σ(d_ρ), µm", "pull of κ"]
     texts = {"events": found["scenarios"].about["events"], "scenarios": table(head, lines)}
     lines = []
     for one in found["begins"].rows:
@@ -167,7 +167,10 @@ def blocks(found: Found) -> dict[str, str]:
         lines.append(
             [f"{one.radius:g}", one.start_radius, f"{one.far:.1f}", f"±{one.kappa:.2f}", f"{one.displaced:.1f}"]
         )
-    head = ["begin at mm", "start_radius", "a pull beyond 8, %", "68 % of pulls of kappa", "displaced %"]
+    head = [
+        "radius of origin, mm", "`start_radius`", "tracks with a pull beyond 8, %", "central 68 % of κ pulls",
+        "`displaced` = 1, %",
+    ]  # fmt: skip
     beside = [row for row in found["begins"].rows if row.radius >= RADII_SHOWN[1] and row.start_radius == "0"]
     far = [row.far_displaced for row in beside]
     texts |= {
