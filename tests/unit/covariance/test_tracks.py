@@ -647,3 +647,28 @@ def test_core_of_a_mixture_is_the_fixed_point_of_its_window():
             square /= SECOND_INSIDE
         assert found[i] == pytest.approx(math.sqrt(square), rel=1e-14)
         assert core_width(variances[i : i + 1])[0] == found[i]
+
+
+def test_numbers_that_are_none_are_not_left_out() -> None:
+    """An azimuth or a radius of NaN is a mistake; numpy's whole numbers count as Python's."""
+    for name in ("phi", "radius"):
+        with pytest.raises(ValueError, match=f"analytic(?s:.*){name}: got nan, expected a number"):
+            cg.analytic(DESIGN, p=1.0, **{name: [0.1, np.nan]})  # type: ignore[arg-type]
+    how: Any = {"p": 0.5, "cos_theta": (-0.3, 0.4), "readout": "gaussian"}
+    one, other = (cg.analytic(DESIGN, samples=number, **how).sigma_dr for number in (np.int64(13), 13))
+    assert one == other
+
+
+def test_points_in_a_field_map_do_not_depend_on_others() -> None:
+    """Tracks that turn back end before others in the same lanes: what is beyond their end counts for nothing."""
+    curved, before = DESIGN.with_field("besiii"), isa.name()
+    for name in isa.available():
+        isa.use(name)
+        try:
+            alone, both = (cg.analytic(curved, "pi+", p=p, cos_theta=0.0) for p in ([0.1], [0.1, 0.2]))
+            budgets = [[found.budget(quantity).variances[0] for found in (alone, both)] for quantity in ("dr", "p")]
+        finally:
+            isa.use(before)
+        assert both.sigma_dr[0] == pytest.approx(alone.sigma_dr[0], rel=1e-9), name
+        for one, other in budgets:
+            np.testing.assert_allclose(other, one, rtol=1e-9, err_msg=name)
