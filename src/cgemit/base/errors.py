@@ -25,7 +25,7 @@ class Problem(NamedTuple):
     hint : str
         May be empty.
     unknown : bool
-        Whether the path names nothing that exists.
+        Whether the key is wrong, whatever its value: it names nothing, or changes what another key changes.
 
     Examples
     --------

@@ -351,6 +351,9 @@ def _points(
     at = np.array(math.nan) if radius is None else _numbers("radius", radius, "length", problems)
     charges = _numbers("charge", kind.charge if charge is None else charge, "", problems)
     masses = _numbers("mass", kind.mass if mass is None else mass, "", problems)
+    for name, given, values in (("phi", phi, azimuth), ("radius", radius, (at,))):
+        if given is not None and any(np.isnan(one).any() for one in values):
+            problems.note(name, "nan", "a number; None for all azimuths" if name == "phi" else "a number")
     if not problems:
         arrays = {"p": p_low, "cos_theta": c_low, "phi": azimuth[0], "charge": charges, "mass": masses, "radius": at}
         _check(arrays, p_high, c_high, problems)
@@ -360,7 +363,7 @@ def _points(
     given = np.broadcast_arrays(p_low, p_high, c_low, c_high, *azimuth, charges, masses, at)
     p_low, p_high, c_low, c_high, phi_low, phi_high, charges, masses, at = given
     limits = (p_low, p_high), (c_low, c_high), (phi_low, phi_high)
-    return Points(kind.name, *limits, charges, masses, at, samples)
+    return Points(kind.name, *limits, charges, masses, at, None if samples is None else int(samples))
 
 
 _points_once = functools.lru_cache(maxsize=64, typed=True)(_points)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
@@ -71,9 +72,12 @@ def factor_of(value: object) -> float | None:
     if not isinstance(value, str):
         return None
     if times := _FACTOR.fullmatch(value):
-        return float(times[1])
-    percent = _PERCENT.fullmatch(value)
-    return 1 + float(percent[1]) / 100 if percent else None
+        factor = float(times[1])
+    elif percent := _PERCENT.fullmatch(value):
+        factor = 1 + float(percent[1]) / 100
+    else:
+        return None
+    return factor if math.isfinite(factor) else None
 
 
 def expanded(detector: Contents, changes: Mapping[str, object], problems: list[Problem]) -> dict[str, object]:
@@ -86,21 +90,33 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
         By dotted keys, several of which may stand together, separated by commas. ``*``, ``?`` and ``[...]`` match
         labels of parts that are not removed; a key without them has precedence. They match in paths of `remove`, too.
     problems : list of Problem
-        Receives every pattern that matches nothing and every relative value of something that is no number.
+        Receives every pattern that matches nothing, every relative value of something that is no number, and keys
+        that change what another pattern, or another plain key, changes.
     """
     found: dict[str, object] = {}
     exact: dict[str, object] = {}
+    named_by: dict[tuple[str, bool], str] = {}  # of paths, and whether a pattern matched: the keys that match it
     removed = changes.get("remove")
     gone: tuple[str, ...] = ()
     if isinstance(removed, list) and all(isinstance(path, str) for path in removed):
         paths = _removed(detector, removed, problems)
         changes, gone = {**changes, "remove": paths}, tuple(f"{path}." for path in paths)
     for keys, value in changes.items():
+        changed, noted = False, len(problems)
         for key in keys.split(","):
             for path in matching(detector, key.strip(), problems):
                 if path != key.strip() and f"{path}.".startswith(gone):
                     continue
-                (exact if path == key.strip() else found).update(_absolute(detector, path, value, problems))
+                plain = path == key.strip()
+                before = named_by.setdefault((path, plain), keys)
+                if before != keys and not any(one.path == key.strip() and one.unknown for one in problems):
+                    given = f'{path}, which "{before}" changes too'
+                    problems.append(Problem(key.strip(), given, "one key for each value", unknown=True))
+                made = _absolute(detector, path, value, problems)
+                (exact if plain else found).update(made)
+                changed = changed or bool(made)
+        if not changed and factor_of(value) is not None and len(problems) == noted:
+            problems.append(Problem(keys, shown(value), "an absolute value: the detector has no such pitch or error"))
     return found | exact
 
 
@@ -220,6 +236,10 @@ def _several(detector: Contents, path: str) -> list[str]:
     return [f"drift_chamber.layers.{layer.number}.{name}" for layer in detector.drift_chamber.layers]
 
 
+#: Values of a measurement layer, of which it has some.
+_OF_A_VIEW = ("pitch_x", "pitch_v", "sigma_x", "sigma_v")
+
+
 def _absolute(detector: Contents, path: str, value: object, problems: list[Problem]) -> dict[str, object]:
     """Return the changes that a value, which may be relative, makes at a plain key."""
     factor = factor_of(value)
@@ -233,6 +253,8 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
         problems.append(Problem(path, shown(value), "a number of the detector", hint, unknown=True))
         return {}
     number, key = now
+    if number == 0 and path.startswith("layer.") and path.rpartition(".")[2] in _OF_A_VIEW:
+        return {}  # stated by the other of pitch and error, or not measured
     if key.kind == "integer" and (number * factor) % 1 == 0:
         return {path: Known(round(number * factor))}
     if (key.kind in NATIVE and number is not None) or (key.kind == "offset" and isinstance(number, float)):

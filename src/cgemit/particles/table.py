@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import re
 from array import array
 from collections.abc import Mapping
 from pathlib import Path
@@ -265,6 +266,7 @@ def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
 _NEEDED = ("event", "pdg", "px", "py", "pz")
 _FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
 _WHOLE = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "i")
+_VERTEX = re.compile(r"(?:v|vtx_?|vertex_?|prod(?:uction)?_?)?([xyz])(?:_?[cm]?m)?", re.IGNORECASE)
 _LAST_EVENT = 2**62
 _MOST_EVENTS = 100_000_000  # a larger span of event numbers is a mistake, such as a run number in front
 
@@ -287,6 +289,8 @@ def _missing(columns: Mapping[str, Array]) -> Problems:
             hint = did_you_mean(name, columns)
             problems.note(name, "nothing", f"a column for each of {', '.join(_NEEDED)}", hint)
     for name, column in columns.items():
+        if (vertex := _VERTEX.fullmatch(name)) and (axis := vertex[1].lower()) not in columns:
+            problems.note(name, "an unknown column", "the vertex in columns x, y and z, mm", f'did you mean "{axis}"?')
         if column.ndim != 1 or (rows is not None and len(column) != rows):
             problems.note(name, f"shape {column.shape}", f"({'n' if rows is None else rows},)")
         elif column.dtype.kind not in "iufb":
@@ -312,7 +316,7 @@ def _problems(columns: Mapping[str, Array]) -> Problems:
     unknown = ~known & (columns.get("charge", np.ones(len(pdg))) != 0)
     if not {"charge", "mass"} <= set(columns):
         bad["pdg", "is unknown and the columns charge and mass are not both there"] = "pdg", unknown
-    usual = _charge_and_mass(pdg)[0]
+    usual, masses = _charge_and_mass(pdg)
     charge = columns.get("charge", usual)
     if "charge" in columns:
         bad["charge", "is not that of the pdg number"] = "charge", known & (charge != usual)
@@ -321,6 +325,10 @@ def _problems(columns: Mapping[str, Array]) -> Problems:
     if "mass" in columns:
         bad["mass", "is negative"] = "mass", columns["mass"] < 0
         bad["mass", "is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (charge != 0)
+        # Resonances vary by less than that; a mass in MeV/c2 or of another particle does not.
+        ratio = columns["mass"] / np.where(masses > 0, masses, 1.0)
+        far = known & (usual != 0) & (columns["mass"] > 0) & ((ratio < 0.5) | (ratio > 2.0))
+        bad["mass", "is not that of the pdg number"] = "mass", far
     if "particle" in columns:
         bad["particle", "is negative"] = "particle", columns["particle"] < 0
         bad["particle", "is there before in the same event"] = "particle", _repeated(event, columns["particle"])

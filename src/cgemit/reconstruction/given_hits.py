@@ -176,8 +176,15 @@ def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     return problems + _strip_problems(detector, clusters)
 
 
+#: Standard deviations by which noise may make a drift distance negative.
+_BELOW_0 = 8
+
+
 def drift_problems(detector: Detector, wires: Columns) -> list[RowProblem]:
-    """Say which drift distances are longer than any in their cells: three diagonals, since tracks may turn back there.
+    """Say which drift distances are longer than any in their cells, or negative.
+
+    A cell's longest distance is three diagonals, since tracks may turn back there. Errors of small distances may make
+    them negative by `_BELOW_0` standard deviations.
 
     Parameters
     ----------
@@ -195,6 +202,12 @@ def drift_problems(detector: Detector, wires: Columns) -> list[RowProblem]:
             given, expected = wires["drift"][row], f"at most three diagonals of a cell, {most:.4g} mm"
             if np.isfinite(given):
                 problems.append(RowProblem("wire_hits", int(row), "drift", f"{given:g}", expected))
+        errors = wires.get("sigma", np.full(len(wires["drift"]), np.nan))
+        errors = np.where(errors > 0, errors, layer.sigma)
+        for row in np.flatnonzero((wires["layer"] == layer.number) & (wires["drift"] < -_BELOW_0 * errors)):
+            given = f"{wires['drift'][row]:g}"
+            expected = "a distance without sign, which is that of the column side"
+            problems.append(RowProblem("wire_hits", int(row), "drift", given, expected))
     return problems
 
 
@@ -352,10 +365,12 @@ def hit_tables(
         "clusters": read("clusters", clusters, ("layer",), problems),
         "wire_hits": read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
     }
-    named = [name for name, columns in given.items() if "candidate" in columns]
-    bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in named]
-    if labelled and named and bare:
-        problems.append(f"{bare[0]}: have no column 'candidate', as the {named[0]} have; expected both or none")
+    sources = {"clusters": clusters, "wire_hits": wire_hits}
+    for label in ("event", "candidate") if labelled else ("event",):
+        named = [name for name, source in sources.items() if source is not None and label in (columns_of(source) or {})]
+        bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in named]
+        if named and bare:
+            problems.append(f"{bare[0]}: have no column '{label}', as the {named[0]} have; expected both or none")
     _raise(problems)
     with np.errstate(invalid="ignore"):  # infinite numbers are listed below
         columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])

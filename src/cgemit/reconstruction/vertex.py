@@ -340,6 +340,8 @@ def fit_vertices(
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)[rows]
     good = np.all((tracks["status"] == 0)[rows], axis=1) & np.isfinite(parameters).all(axis=(1, 2))
     good &= np.isfinite(tracks["cov"][rows]).all(axis=(1, 2, 3))
+    impact = tracks["cov"][rows][..., [[0], [3]], [0, 3]]  # which has an inverse
+    good &= ((np.linalg.det(np.where(np.isfinite(impact), impact, 0.0)) > 0) & (impact[..., 0, 0] > 0)).all(axis=1)
     bz = compiled(load(detector)).field.bz
     masses = np.array([kind.mass for kind in kinds])
     some = _Pairs(parameters[good], tracks["cov"][rows[good]], masses, bz)

@@ -34,12 +34,21 @@ def data_frame(columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]]) -> Any:
 def columns_of(source: Any) -> dict[str, Array] | None:
     """Return the columns of a table, mapping, data frame or structured array; None for anything else."""
     if isinstance(source, np.ndarray):
+        _check_mask(source)
         return {name: source[name] for name in source.dtype.names} if source.dtype.names else None
     if hasattr(source, "column_names"):  # pyarrow
         return {str(name): np.asarray(source[name]) for name in source.column_names}
     if isinstance(source, Mapping) or hasattr(source, "columns"):
-        return {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118  (tables, data frames)
+        for name in source.keys():  # noqa: SIM118  (tables, data frames)
+            _check_mask(source[name], str(name))
+        return {str(name): np.asarray(source[name]) for name in source.keys()}  # noqa: SIM118
     return None
+
+
+def _check_mask(given: Any, name: str = "table") -> None:
+    """Raise an error for masked values: what is below a mask is no number."""
+    if np.ma.is_masked(given):
+        raise ValueError(f"{name}: got masked values, expected numbers in every row")
 
 
 def to_pandas(table: Rows) -> Any:

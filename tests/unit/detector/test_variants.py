@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 import tomllib
 from typing import Any
 
@@ -39,6 +40,32 @@ def test_wildcards_reach_every_layer_and_an_exact_key_has_precedence() -> None:
 def test_relative_values_multiply_those_of_the_base(text: str, factor: float) -> None:
     found = DESIGN.with_overrides({"cgem.*.drift_gap": text})
     assert [layer.drift_gap for layer in found.cgem] == [layer.drift_gap * factor for layer in DESIGN.cgem]
+
+
+def test_relative_values_are_of_what_a_measurement_layer_has() -> None:
+    """A pitch that is not stated is no zero, which would leave a coordinate unmeasured."""
+    base = cg.load("epic-like")
+    same = base.with_overrides({"layer.*.pitch_x": "x1", "layer.*.sigma_x": "x1"})
+    assert [layer.errors for layer in same.layers] == [layer.errors for layer in base.layers]
+    half = base.with_overrides({"layer.*.pitch_x": "x0.5"})
+    assert base.layers[0].errors[0] / half.layers[0].errors[0] == pytest.approx(2)
+    assert half.layers[5].errors == base.layers[5].errors == (0.15, 0.15)  # CYMBAL states errors
+    with pytest.raises(cg.DetectorError, match=r"pitch_x: got \"x2\", expected an absolute value"):
+        base.with_overrides({"layer.CYMBAL.pitch_x": "x2"})
+    with pytest.raises(cg.DetectorError, match=r"pitch_x: got \"x1e400\", expected a length"):
+        base.with_overrides({"layer.L0.pitch_x": "x1e400"})
+
+
+@pytest.mark.parametrize(
+    "keys", [("cgem.*.pitch_x", "cgem.L?.pitch_x"), ("cgem.L1.pitch_x, cgem.L2.pitch_x", "cgem.L1.pitch_x")]
+)
+def test_two_keys_of_one_value_are_refused(keys: tuple[str, str]) -> None:
+    """One of them would have no effect, while the table of a sweep states both."""
+    message = re.escape(f'{keys[1]}: got cgem.L1.pitch_x, which "{keys[0]}" changes too')
+    with pytest.raises(cg.DetectorError, match=message):
+        DESIGN.with_overrides(dict.fromkeys(keys, "400 um"))
+    with pytest.raises(cg.study.PlanError, match=message):
+        cg.study.sweep(DESIGN, {key: ["400 um", "500 um"] for key in keys})
 
 
 def test_a_shift_that_is_not_stated_is_no_number() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import awkward as ak
+import numpy as np
 import pyhepmc
 import pytest
 
@@ -234,3 +235,29 @@ def test_halves_of_surrogate_pairs(table):
     """No file can hold them, so that a run would end at its last step."""
     with pytest.raises(cg.DetectorError, match="expected"):
         cg.load({"base": "besiii-cgem", "name": "x", **table})
+
+
+MUONS = {"event": [0, 1], "pdg": [13, -13], "px": [1.0, 1.0], "py": [0.0, 0.1], "pz": [0.0, 0.1]}
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"mass": [0.10566, 105.66]}, "mass: is not that of the pdg number .105.66. in row 1"),
+        ({"mass": [0.000511, 0.10566]}, "mass: is not that of the pdg number .0.000511. in row 0"),
+        ({"vz": [200.0, 200.0]}, 'vz: got an unknown column, expected the vertex .*did you mean "z"'),
+        ({"Vertex_X": [1.0, 1.0]}, 'Vertex_X: got an unknown column, .*did you mean "x"'),
+        ({"px": np.ma.masked_array([1.0, 2.0], [True, False])}, "px: got masked values"),
+    ],
+)
+def test_columns_that_would_be_misread(columns, message):
+    """A mass in MeV, a vertex under another name, values below a mask."""
+    with pytest.raises(ValueError, match=message):
+        particles_from({**MUONS, **columns})
+
+
+def test_columns_beside_those_of_particles():
+    """Columns without a meaning here are left out; masses near the usual one are taken, and masks of nothing."""
+    columns = {"mass": [0.1057, 0.1], "z": [2.0, 3.0], "vz": [9.0, 9.0], "px": np.ma.masked_array([1.0, 2.0])}
+    table = particles_from({**MUONS, **columns})
+    assert [table[name].tolist() for name in ("z", "px", "mass")] == [[2.0, 3.0], [1.0, 2.0], [0.1057, 0.1]]

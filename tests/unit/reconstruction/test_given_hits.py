@@ -339,6 +339,16 @@ def test_one_kind_of_hits_alone(run):
             {"layer": [8], "wire": [1], "drift": [1.0]},
             ["wire_hits: have no column 'candidate', as the clusters have"],
         ),
+        (
+            {"layer": [0], "phi": [1.0], "z": [0.0], "err_phi": [1e-3], "err_z": [1.0]},
+            {"layer": [8], "wire": [1], "drift": [1.0], "event": [5]},
+            ["clusters: have no column 'event', as the wire_hits have; expected both or none"],
+        ),
+        (
+            None,
+            {"layer": [8, 8, 8], "wire": [1, 2, 3], "drift": [-1.0, -1.1, 3.0], "sigma": [0.13, 0.13, 0.13]},
+            ["wire_hits row 1: drift: got -1.1, expected a distance without sign, which is that of the column side"],
+        ),
     ],
 )  # fmt: skip
 def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):

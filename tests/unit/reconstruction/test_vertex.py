@@ -322,3 +322,16 @@ def test_a_track_of_two_vertices_begins_at_the_better_one() -> None:
     assert np.abs(begun["start_radius"][begun["start_radius"] != 0]) == pytest.approx([radius, radius])
     with pytest.raises(ValueError, match="begin_at_vertices"):
         begin_at_vertices(detector, result.tracks, result.tracks, both)
+
+
+@pytest.mark.parametrize("cov", [0.0, -1.0, np.nan])
+def test_a_track_without_covariance_fails_alone(cov):
+    """Its pair says so; the other pairs have the vertices that they have without it."""
+    result = cg.run("besiii-cgem-design", cg.Gun("pi-", p=0.5, cos_theta=(-0.5, 0.5), multiplicity=2), n=3)
+    tracks, pairs = result.fitted, 3
+    wrong = tracks["cov"].copy()
+    wrong[2] = cov
+    rows = np.arange(2 * pairs).reshape(-1, 2)
+    found, right = (cg.fit_vertices(result.detector, one, rows) for one in (tracks.with_columns(cov=wrong), tracks))
+    assert found["status"].tolist() == [0, int(cg.VertexStatus.no_track), 0]
+    assert all(np.array_equal(found[name][[0, 2]], right[name][[0, 2]]) for name in ("x", "y", "z", "mass"))
