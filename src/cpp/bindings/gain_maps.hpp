@@ -1,4 +1,4 @@
-// Gain maps of `cgemit.detector.strip_maps.gain_table`; an empty dict stands for a gain of 1 everywhere.
+// Gain maps of `cgemit.detector.core.gain_table`; an empty dict stands for a gain of 1 everywhere.
 #pragma once
 
 #include "bindings/inputs.hpp"

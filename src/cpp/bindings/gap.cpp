@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "matter/ionization.hpp"
-
 namespace py = pybind11;
 using namespace cgemit;
 using namespace cgemit::bindings;

@@ -1,6 +1,5 @@
 #include "bindings/matter.hpp"
 
-#include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"

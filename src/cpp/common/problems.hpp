@@ -30,7 +30,6 @@ class Problems {
   // Counts problems of which no text was made.
   void skip(std::size_t count) { count_ += count; }
   bool empty() const { return count_ == 0; }
-  std::size_t count() const { return count_; }
 
   // Throws std::invalid_argument if there are any.
   void raise(const std::string& where) const {

@@ -8,8 +8,6 @@
 #include <cmath>
 #include <cstdint>
 
-#include "common/units.hpp"
-
 namespace cgemit {
 
 using Block = std::array<std::uint32_t, 4>;

@@ -6,9 +6,7 @@
 
 namespace cgemit {
 
-inline constexpr double mm = 1.0;
 inline constexpr double um = 1e-3;
-inline constexpr double GeV = 1.0;
 inline constexpr double MeV = 1e-3;
 inline constexpr double keV = 1e-6;
 

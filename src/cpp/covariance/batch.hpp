@@ -14,21 +14,6 @@
 
 namespace cgemit {
 
-// The steps of a detector, without hits.
-template <class T>
-Group<T> empty_group(const Detector& detector) {
-  Group<T> group;
-  std::int32_t slabs = 0;
-  for (const Surface& surface : detector.surfaces)
-    group.steps.push_back(
-        {surface.is_slab, surface.is_slab ? surface.index : -1, surface.is_slab ? slabs++ : -1, 0, 0});
-  const auto n = static_cast<std::size_t>(slabs);
-  group.noise.resize(n);
-  group.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
-  group.kinks.resize(n);
-  return group;
-}
-
 template <class T>
 class CovarianceBatch {
  public:

@@ -6,7 +6,7 @@
 namespace cgemit {
 
 template <class T>
-class Expectation {
+class Expectation : public NoObserver {
  public:
   static constexpr bool provides_hits = true, stops_at_wires = false;
 
@@ -35,10 +35,6 @@ class Expectation {
   void arrives(const Slab& slab, const Motion&) {
     hits_->scatters(*step_, slab);
   }
-  template <class Noise>
-  void crosses(const Slab&, const Noise&, const Kink<T>&) {}
-  template <class Motion>
-  void ends(const Motion&) {}
 
  private:
   ExpectedHits<T>* hits_ = nullptr;

@@ -137,7 +137,8 @@ class ExpectedHits {
     } else {
       slot.variance = cluster_error(slot);
     }
-    if (!all(met)) slot.variance = select(met, slot.variance, T(1.0));  // where the trace ended it is no number
+    if (!all(met))
+      slot.variance = select(met, slot.variance, T(1.0));  // where the trace ended it is no number
     if (!keeps_) return;
     kept_[number].there = met;
     kept_[number].distance = abs(slot.predicted);

@@ -62,7 +62,7 @@ class RecordedTrack {
   }
 
   // The observer of the trace: hits are expected where it would look for them, but none is filled in.
-  class Recorder {
+  class Recorder : public NoObserver {
    public:
     static constexpr bool provides_hits = true, stops_at_wires = true;
 
@@ -89,14 +89,6 @@ class RecordedTrack {
       if (slab.gap >= 0 && reached && inside_) record(step) = {true, motion, 0, {}};
     }
     bool on_wire(const Slot<double>&, double) const { return false; }
-    template <class Motion>
-    void meets(const Slot<double>&, const Motion&) {}
-    template <class Motion>
-    void arrives(const Slab&, const Motion&) {}
-    template <class Noise>
-    void crosses(const Slab&, const Noise&, const Kink<double>&) {}
-    template <class Motion>
-    void ends(const Motion&) {}
 
    private:
     RecordedStep& record(const GroupStep& step) {

@@ -1,4 +1,4 @@
-// Matter around a drift gap, for ionization and electrons of some keV. Made by `cgemit.detector.gaps`.
+// Matter around a drift gap, for ionization and electrons of some keV. Made by `cgemit.detector.gas`.
 #pragma once
 
 #include <array>

@@ -10,24 +10,6 @@ namespace cgemit {
 
 namespace {
 
-// sin(f)/f, (1 - cos f)/f^2 and (f - sin f)/f^2, by their series where f is small.
-struct TurnTerms {
-  double sine, versine, lag;
-
-  explicit TurnTerms(double f) {
-    const double q = f * f;
-    if (q < 1e-2) {
-      sine = 1 - q * (1.0 / 6 - q * (1.0 / 120 - q * (1.0 / 5040 - q / 362880)));
-      versine = 0.5 - q * (1.0 / 24 - q * (1.0 / 720 - q * (1.0 / 40320 - q / 3628800)));
-      lag = f * (1.0 / 6 - q * (1.0 / 120 - q * (1.0 / 5040 - q / 362880)));
-    } else {
-      sine = std::sin(f) / f;
-      versine = (1 - std::cos(f)) / q;
-      lag = (f - std::sin(f)) / q;
-    }
-  }
-};
-
 // In the local coordinates; kappa and tanl are those inside the slab.
 Matrix5 covariance(const Slab& slab, const LocalNoise<double>& noise) {
   Matrix5 g = Matrix5::Zero();
@@ -62,19 +44,19 @@ HelixPoint point_of(const LocalState& state, double per_kappa) {
 
 Matrix5 pivot_jacobian(const Perigee& from, double d_to, double arc, double per_kappa) {
   const double w = per_kappa * from.kappa, theta = w * arc, square = arc * arc;
-  const TurnTerms t(theta);
-  const double sine = theta * t.sine, cosine = 1 - theta * theta * t.versine;
+  const StepIntegral<double> t = step_integral(theta);
+  const double over = 1 - theta * t.across, sine = theta * over, cosine = 1 - theta * theta * t.along;
   const double before = 1 - w * from.d, per_after = 1 / (1 - w * d_to);
   Matrix5 j = Matrix5::Identity();
   j(0, 0) = cosine;
-  j(0, 1) = -before * arc * t.sine;
-  j(0, 2) = -per_kappa * square * t.versine;
+  j(0, 1) = -before * arc * over;
+  j(0, 2) = -per_kappa * square * t.along;
   j(1, 0) = w * sine * per_after;
   j(1, 1) = before * cosine * per_after;
-  j(1, 2) = per_kappa * arc * t.sine * per_after;
+  j(1, 2) = per_kappa * arc * over * per_after;
   j(3, 0) = from.tanl * sine * per_after;
-  j(3, 1) = -from.tanl * (arc * theta * t.versine - d_to + from.d * cosine) * per_after;
-  j(3, 2) = -from.tanl * per_kappa * (square * t.lag - d_to * arc) * per_after;
+  j(3, 1) = -from.tanl * (arc * theta * t.along - d_to + from.d * cosine) * per_after;
+  j(3, 2) = -from.tanl * per_kappa * (square * t.across - d_to * arc) * per_after;
   j(3, 4) = arc;
   return j;
 }

@@ -6,7 +6,6 @@
 #include "kalman/trajectory.hpp"
 #include "matter/track.hpp"
 #include "motion/helix.hpp"
-#include "motion/wire.hpp"
 
 namespace cgemit {
 

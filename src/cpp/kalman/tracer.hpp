@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "common/compiler.hpp"
-#include "detector/strip_plane.hpp"
 #include "kalman/group.hpp"
 #include "kalman/helix_motion.hpp"
 #include "kalman/slab_crossing.hpp"

@@ -5,7 +5,6 @@
 #pragma once
 
 #include "common/rng.hpp"
-#include "matter/track.hpp"
 
 namespace cgemit {
 

@@ -1109,3 +1109,18 @@ def test_other_draws_are_seen():
     assert len(differing_events(one["wire_truths"], other["wire_truths"], 300, 1e-9)) > 290
     shifted = simulated_lanes("scalar", table.with_columns(px=table["px"] * (1 + 1e-6)))
     assert len(differing_events(one["truths"], shifted["truths"], 300, 1e-9)) > 290
+
+
+@pytest.mark.parametrize(("particle", "decays"), [("mu-", False), ("mu-", True), ("p+", True)])
+def test_slopes_whose_squares_are_infinite(particle: str, decays: bool) -> None:
+    """Such a particle flies along the beam line: its flight time would be infinite, as the time of a decay is."""
+    how = cg.Settings(simulate=SimulateSettings(half_turns=2, decays=decays))
+    for name in isa.available():
+        before = isa.name()
+        isa.use(name)
+        try:
+            found = cg.run("besiii-cgem-design", cg.Gun(particle, p=1.0, theta=1e-155), n=3, settings=how)
+        finally:
+            isa.use(before)
+        assert found.particles["status"].tolist() == 3 * [int(TransportStatus.end)]
+        assert len(found.truths) == len(found.wire_truths) == 0

@@ -17,7 +17,6 @@ using Widest = Pack<2>;
 #endif
 
 inline std::int64_t whole(double x) { return static_cast<std::int64_t>(x); }
-inline std::int64_t whole_lane(std::int64_t n, int) { return n; }
 
 #if CGEMIT_VECTORS
 
@@ -25,11 +24,6 @@ inline std::int64_t whole_lane(std::int64_t n, int) { return n; }
 template <int W>
 typename Registers<W>::Integers whole(Pack<W> x) {
   return reinterpret_cast<typename Registers<W>::Integers>((x + 0x1.8p52).v) - 0x4338000000000000;
-}
-
-template <class Integers>
-std::int64_t whole_lane(const Integers& n, int i) {
-  return n[i];
 }
 
 // Products of the low 32 bits of each integer with one number.

@@ -1,7 +1,6 @@
 // The magnetic field at a point: uniform, harmonic, or interpolated on a grid. T, mm.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
 #include "common/lanes/vec3.hpp"
@@ -35,7 +34,7 @@ struct FieldValue {
 
 // Between the points of a grid the field is a cubic spline in each direction, twice continuously
 // differentiable: sums of cubic B-splines (C. de Boor, A Practical Guide to Splines, 1978, chapter IX) with
-// coefficients from `cgemit.detector.field.grid`.
+// coefficients from `cgemit.detector.field`.
 struct FieldMap {
   FieldKind kind;
   double bz;  // T, at the origin

@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <span>
-#include <vector>
 
 #include "detector/cluster_rows.hpp"
 #include "detector/strip_maps.hpp"

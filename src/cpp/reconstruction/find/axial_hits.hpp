@@ -34,7 +34,6 @@ class AxialHits {
   void load(const EventHits& hits);
 
   std::vector<AxialPoint>& points() { return points_; }
-  const std::vector<AxialPoint>& points() const { return points_; }
   // Layers that a circle needs: more where many cells fire by chance. A slow particle turns back after a few,
   // with several cells in each.
   int least(double w) const { return std::abs(w) > slow_w_ ? least_slow_ : least_; }

@@ -8,6 +8,7 @@
 
 #include "common/compiler.hpp"
 #include "detector/strip_plane.hpp"
+#include "kalman/tracer.hpp"
 #include "motion/cells.hpp"
 #include "motion/uniform.hpp"
 #include "reconstruction/find/event_hits.hpp"
@@ -18,16 +19,8 @@ class NearbyHits {
  public:
   NearbyHits(const Detector& detector, Group<double>& group)
       : detector_(detector), group_(group), steps_(detector), expected_(detector.surfaces.size()) {
-    std::int32_t slabs = 0;
-    for (const Surface& surface : detector.surfaces)
-      group_.steps.push_back(
-          {surface.is_slab, surface.is_slab ? surface.index : -1, surface.is_slab ? slabs++ : -1, 0, 0});
-    const auto n = static_cast<std::size_t>(slabs);
-    group_.noise.resize(n);
-    group_.dense_noise.resize(detector.field.is_uniform() ? 0 : n);
-    group_.kinks.resize(n);
-    group_.ahead.assign(n, true);
-    group_.kinked = false;
+    group_ = empty_group<double>(detector);
+    group_.ahead.assign(group_.noise.size(), true);
   }
   NearbyHits(const NearbyHits&) = delete;  // `cells_` refers to `steps_`
   NearbyHits& operator=(const NearbyHits&) = delete;
@@ -160,7 +153,7 @@ class NearbyHits {
 };
 
 // Passed to the tracer by value.
-class NearbyObserver {
+class NearbyObserver : public NoObserver {
  public:
   static constexpr bool provides_hits = true, stops_at_wires = false;
   explicit NearbyObserver(NearbyHits& hits) : hits_(&hits) {}
@@ -174,14 +167,6 @@ class NearbyObserver {
     hits_->passes(step, motion.point(), alive);
   }
   bool on_wire(const Slot<double>& slot, double z) const { return hits_->on_wire(slot, z); }
-  template <class Slot, class Motion>
-  void meets(const Slot&, const Motion&) {}
-  template <class Motion>
-  void arrives(const Slab&, const Motion&) {}
-  template <class Noise>
-  void crosses(const Slab&, const Noise&, const Kink<double>&) {}
-  template <class Motion>
-  void ends(const Motion&) {}
 
  private:
   NearbyHits* hits_;

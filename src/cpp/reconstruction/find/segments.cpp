@@ -7,7 +7,6 @@
 #include "detector/strip_plane.hpp"
 #include "motion/helix.hpp"
 #include "reconstruction/find/compete.hpp"
-#include "reconstruction/find/score.hpp"
 
 namespace cgemit {
 

@@ -4,7 +4,6 @@
 #include <bit>
 #include <cmath>
 
-#include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
 #include "motion/helix.hpp"
 

@@ -11,7 +11,7 @@
 
 namespace cgemit {
 
-// Default values are in `cgemit.fit.FitSettings`.
+// Default values are in `cgemit.reconstruction.fit.FitSettings`.
 struct FitSettings {
   int max_iterations;
   // The reference has converged when no parameter moves by more than this, in standard deviations.

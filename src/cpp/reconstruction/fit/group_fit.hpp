@@ -1,7 +1,6 @@
 // The fit of a group of tracks, one per lane.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
 
 #include "kalman/field_reference.hpp"

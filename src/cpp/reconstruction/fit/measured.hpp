@@ -4,7 +4,6 @@
 #include "common/compiler.hpp"
 #include "detector/cluster_errors.hpp"
 #include "kalman/group.hpp"
-#include "reconstruction/fit/first_guess.hpp"
 #include "reconstruction/fit/fit.hpp"
 
 namespace cgemit {

@@ -34,16 +34,6 @@ inline std::vector<std::size_t> first_steps(const TruthColumns& truths, const St
   return first;
 }
 
-// Number of earlier rows of the event with the same particle in the same layer; with particle and layer it
-// identifies a truth independently of the chunk.
-inline std::uint32_t earlier(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
-  std::uint32_t n = 0;
-  for (std::size_t i = event_begin; i < row; ++i) {
-    n += truths.particle[i] == truths.particle[row] && truths.layer[i] == truths.layer[row];
-  }
-  return n;
-}
-
 struct CloudWidth {
   double x, z;  // mm
 };

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <limits>
 #include <span>
-#include <utility>
 
 #include "common/lanes/philox.hpp"
 #include "common/rng.hpp"
@@ -16,7 +15,7 @@
 
 namespace cgemit {
 
-// Drift through one layer, as `cgemit.digitize.transport.LayerDrift` has it; all but the last two follow from
+// Drift through one layer, as `cgemit.detector.gas.LayerDrift` has it; all but the last two follow from
 // gas and fields.
 struct LayerDrift {
   double velocity;                     // mm/ns

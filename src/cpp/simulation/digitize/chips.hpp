@@ -3,7 +3,6 @@
 
 #include <array>
 #include <optional>
-#include <span>
 
 #include "common/rng.hpp"
 #include "simulation/digitize/shaper.hpp"

@@ -17,16 +17,6 @@ struct Pair {
   DigiRow x, v;
 };
 
-// Number of earlier rows of the event with the same particle in the same layer (a track that comes back).
-// Together with particle and layer it identifies a truth independently of the chunk.
-std::uint32_t occurrence(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
-  std::uint32_t n = 0;
-  for (std::size_t i = event_begin; i < row; ++i) {
-    n += truths.particle[i] == truths.particle[row] && truths.layer[i] == truths.layer[row];
-  }
-  return n;
-}
-
 // Errors of X and V at the inclination of a crossing.
 std::pair<double, double> inclined(const MeasuringLayer& layer, const PositionErrors& errors, int sheet,
                                    const Point& entry, const Point& exit) {
@@ -52,7 +42,7 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
                         static_cast<std::uint32_t>(truths.particle[row]));
     const std::uint32_t place = readout.first_place + static_cast<std::uint32_t>(truths.layer[row]);
-    const Block words = stream.block(Purpose::digitization, place, occurrence(truths, event_begin, row));
+    const Block words = stream.block(Purpose::digitization, place, earlier(truths, event_begin, row));
     if (open_unit(words[2]) > errors.efficiency) return std::nullopt;
     DigiRow common{truths.event[row], truths.layer[row], sheet, 0};
     common.charge = 0.5 * truths.energy[row] * per_energy;

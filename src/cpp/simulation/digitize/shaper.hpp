@@ -13,7 +13,7 @@
 namespace cgemit {
 
 // Response to a unit charge at time 0: the sum of (a + b u) exp(-rate u) for u = t - delay > 0. One for the
-// peak: `cgemit.digitize.shapers` normalises it.
+// peak: `cgemit.detector.readouts.Shaper` normalises it.
 struct ShaperTerm {
   double a, b, rate;  // 1, 1/ns, 1/ns
 };

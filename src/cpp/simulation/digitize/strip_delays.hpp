@@ -2,7 +2,6 @@
 // whose ionization fluctuates (docs/methods/readout.md).
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <vector>

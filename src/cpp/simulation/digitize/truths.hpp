@@ -46,6 +46,16 @@ inline std::size_t event_end(std::span<const std::int64_t> event, std::size_t be
   return end;
 }
 
+// Number of earlier rows of the event with the same particle in the same layer; with particle and layer it
+// identifies a truth independently of the chunk.
+inline std::uint32_t earlier(const TruthColumns& truths, std::size_t event_begin, std::size_t row) {
+  std::uint32_t n = 0;
+  for (std::size_t i = event_begin; i < row; ++i) {
+    n += truths.particle[i] == truths.particle[row] && truths.layer[i] == truths.layer[row];
+  }
+  return n;
+}
+
 // Throws std::invalid_argument, naming the first row with values that the kernels cannot handle.
 inline void check(const TruthColumns& truths, const Detector& detector) {
   const auto layers = static_cast<std::int32_t>(detector.layers.size());

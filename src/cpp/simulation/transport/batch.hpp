@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "matter/electron_flight.hpp"
@@ -69,7 +70,12 @@ class Batch {
     std::size_t clusters;  // deposits of the particle itself
   };
 
-  bool flies(std::size_t row) const { return in_.charge[row] != 0 && (in_.px[row] != 0 || in_.py[row] != 0); }
+  // Particles along the beam line leave no hits. Slopes have finite squares, or flight times would be
+  // infinite.
+  bool flies(std::size_t row) const {
+    const double pt2 = in_.px[row] * in_.px[row] + in_.py[row] * in_.py[row];
+    return in_.charge[row] != 0 && pt2 > 0 && in_.pz[row] * in_.pz[row] / pt2 < HUGE_VAL;
+  }
   // Whether a particle leaves hits before or after its first half turn.
   bool loops(std::size_t row, TransportStatus status) const {
     const bool inward = in_.x[row] * in_.px[row] + in_.y[row] * in_.py[row] < 0;
