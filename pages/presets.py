@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
@@ -21,6 +21,7 @@ PRESETS = (
     *("epic-like", "idea-like", "cepc-like"),
 )
 MOMENTA = (1.0, 10.0)
+THIN = ("epic-like", "idea-like", "cepc-like")  # of thin layers that measure precisely
 BESIII = ("besiii-cgem-design", "besiii-cgem")  # whose CGEM layers are in a table
 
 #: Quantity -> its name and unit.
@@ -57,6 +58,16 @@ class Published:
     published: float
 
 
+@dataclass(frozen=True)
+class Core:
+    """The core width of simulated muons of 1 GeV/c over the expected one."""
+
+    preset: str
+    quantity: str
+    ratio: float
+    error: float
+
+
 def resolutions(
     name: str | cg.Detector, particle: str, p: float, cos_theta: float | tuple[float, float]
 ) -> dict[str, float]:
@@ -80,6 +91,19 @@ def expected(share: float) -> Numbers:
 def beside_epic(share: float) -> Numbers:
     """Compute the resolutions of `epic-like` where they are published."""
     return Numbers(list(_epic_rows()))
+
+
+def simulated(share: float) -> Numbers:
+    """Simulate muons with all fluctuations, cos(theta) within 0.7."""
+    events, angles, rows = max(400, int(20_000 * share)), (-0.7, 0.7), []
+    for name in THIN:
+        found = cg.analytic(name, "mu-", p=1.0, cos_theta=angles)
+        result = cg.run(name, cg.Gun("mu-", p=1.0, cos_theta=angles), events)
+        for quantity in ("dr", "phi0", "dz", "tanl", "p"):
+            core = cg.resolution(result, quantity)
+            width = float(found.sigma(quantity))
+            rows.append(Core(name, quantity, core.core / width, core.core_error / width))
+    return Numbers(rows, {"events": events})
 
 
 def _epic_rows() -> Iterator[Published]:
@@ -106,8 +130,16 @@ def blocks(found: Found) -> dict[str, str]:
             ratios.append([f"{name}, {low:g} < η < {high:g}", *(f"{row.expected / row.published:.2f}" for row in rows)])
     return {
         "expected": table(head, lines), "published": table(of_epic, ratios), "layers": _layers(),
+        "simulated": _simulated(found["simulated"].rows),
         "lorentz": _lorentz_shifts(),
     }  # fmt: skip
+
+
+def _simulated(rows: Sequence[Core]) -> str:
+    """Return the table of simulated over expected resolutions."""
+    head = ["simulated / expected", *(f"σ({name})" for name in ("d_ρ", "φ0", "d_z", "tan λ", "p"))]
+    texts = [[f"`{name}`", *(f"{row.ratio:.2f}" for row in rows if row.preset == name)] for name in THIN]
+    return table(head, texts)
 
 
 def _layers() -> str:
@@ -181,6 +213,6 @@ def draw_published(found: Found) -> Figure:
 
 PAGE = Page(
     "presets", "docs/methods/detector.md", "10 s",
-    {"expected": (Resolution, expected), "epic": (Published, beside_epic)}, blocks,
+    {"expected": (Resolution, expected), "epic": (Published, beside_epic), "simulated": (Core, simulated)}, blocks,
     {"presets.png": draw_presets, "presets-published.png": draw_published},
 )  # fmt: skip
