@@ -425,7 +425,7 @@ def draw_cluster_strips(axes: list[Axes], view: EventView) -> None:
         plot.axhline(0, color=COLORS["text"], lw=0.8)
         plot.axvline(0, color=COLORS["cgem"], lw=1.2, ls="--", label="position of the cluster")
         plot.set(xlim=(-reach, reach), ylim=(-1.6 * most, 1.6 * most), xlabel="across the strips  (mm)")
-        plot.set_title(f"strips of the largest clusters, {plain(layer.label)}", loc="left")
+        plot.set_title(f"{plain(layer.label)}: largest clusters", loc="left")
         plot.yaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
         plot.tick_params(length=3)
     axes[0].set_ylabel("V  ←  charge (fC)  →  X")

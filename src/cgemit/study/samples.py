@@ -182,20 +182,22 @@ def gun_arguments(momenta: Any, pt: Any, particle: str | int, cos_theta: Any, th
     Raises
     ------
     ValueError
-        If there is not exactly one of both momenta, or both angles are given.
+        If there is not exactly one list of momenta with at least one, or both angles are given.
     """
     problems = []
+    values, name = (momenta, "momenta") if pt is None else (pt, "pt")
     if (momenta is None) == (pt is None):
         problems.append("momenta, pt: expected exactly one of them")
+    elif np.ndim(values) != 1 or not len(values):
+        problems.append(f"{name}: got {values!r:.60}, expected a list of at least one")
     if cos_theta is not None and theta is not None:
         problems.append("cos_theta, theta: got both, expected one of them")
     if problems:
         raise ValueError("scan:\n  " + "\n  ".join(problems))
     if cos_theta is None and theta is None:
         cos_theta = (-0.93, 0.93)
-    values = list(momenta if pt is None else pt)
     return {
-        "momenta": values,
+        "momenta": list(values),
         "transverse": pt is not None,
         "particle": particle,
         "cos_theta": cos_theta,

@@ -181,6 +181,14 @@ def test_analytic_lines_take_transverse_momenta_and_angles() -> None:
         scan_analytic(DESIGN, pt=[0.5])
 
 
+@pytest.mark.parametrize("make", [scan, scan_analytic])
+@pytest.mark.parametrize("given", [[], np.array([]), 1.0, "1"])
+@pytest.mark.parametrize("name", ["momenta", "pt"])
+def test_momenta_are_a_list_of_at_least_one(make: Any, given: Any, name: str) -> None:
+    with pytest.raises(ValueError, match=rf"{name}: got .*, expected a list of at least one"):
+        make(DESIGN, **{name: given})
+
+
 def test_wrong_momenta_and_angles_are_listed() -> None:
     for function in (scan, scan_analytic):
         with pytest.raises(ValueError, match=r"(?s)momenta, pt: expected exactly one.*cos_theta, theta: got both"):
