@@ -83,7 +83,7 @@ def table_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float]) ->
 def lossless_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
     """Return the matter of the fit without energy loss."""
     found = stack_of(detector, tanl, cut)
-    return [LosslessSlab(one.slab, one.whole_xi, one.group_chi_c2, cut) for one in found]
+    return [LosslessSlab(one.slab, one.whole_xi, one.acting_chi_c2, cut) for one in found]
 
 
 SIMULATED = "simulated, 20 000 tracks"

@@ -1,10 +1,10 @@
 """The best that any estimate can do: least squares with the noise of matter, worked out without the fit.
 
 A track is followed through detector and matter in plain numpy, without the compiled core; formulas of loss and
-scattering are written anew from their papers. What the track measures is differentiated by the helix parameters, and by
-one scattering angle or loss after the other, through differences. With A and B these derivatives (B in standard
-deviations) and R the variances of the measurements, the covariance of generalised least squares is (A^T V^-1 A)^-1,
-V = R + B B^T.
+scattering are written anew from their papers. Only the matter that acts with a slab is the fit's. What the
+track measures is differentiated by the helix parameters, and by one scattering angle or loss after the other, through
+differences. With A and B these derivatives (B in standard deviations) and R the variances of the measurements, the
+covariance of generalised least squares is (A^T V^-1 A)^-1, V = R + B B^T.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 import cgemit as cg
-from cgemit.detector import Slab, slabs
+from cgemit.detector import Slab, compiled, slabs
 from cgemit.detector.parts import CgemLayer, WireLayer
 from cgemit.reconstruction.fit import PARAMETERS
 
@@ -172,13 +172,13 @@ def _distance(flight: Flight, layer: WireLayer, wire: int) -> Floats:
 class TracedSlab:
     """Matter at one radius, and what it does to a track.
 
-    On the track all matter has the sum xi, and the slab's group (gas of the drift chamber, or the rest) chi_c^2.
+    On the track all matter has the sum xi, and the matter that acts with the slab has chi_c^2.
     """
 
-    def __init__(self, slab: Slab, whole_xi: float, group_chi_c2: float, cut: tuple[float, float]) -> None:
+    def __init__(self, slab: Slab, whole_xi: float, acting_chi_c2: float, cut: tuple[float, float]) -> None:
         self.slab, self.radius, self.gap, self.spread = slab, slab.radius, slab.gap, slab.spread
         self.half_length = max(shell.half_length for shell in slab.shells)
-        self.whole_xi, self.group_chi_c2, self.cut = whole_xi, group_chi_c2, cut
+        self.whole_xi, self.acting_chi_c2, self.cut = whole_xi, acting_chi_c2, cut
         self.shifts = slab.spread * 13.6e-3 * np.sqrt(slab.x0) > _THICK
         self.sigma = np.zeros(5)
 
@@ -212,9 +212,9 @@ class TracedSlab:
         return xi * bracket, np.sqrt(xi * cut * (1 - beta2 * cut / w_max / 2))
 
     def angle(self, p: float, after: float, mass: float, path: float) -> float:
-        """Plane angle: Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, F = 0.98, one logarithm for the group."""
+        """Plane angle: Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, F = 0.98, with the matter that acts."""
         beta2, beta2_after = (q * q / (q * q + mass * mass) for q in (p, after))
-        end = self.group_chi_c2 / beta2 / (2 * (1 - 0.98))
+        end = self.acting_chi_c2 / beta2 / (2 * (1 - 0.98))
         recoil = 2 * ELECTRON * float(_w_max(np.array([p]), mass)[0])
         total = 0.0
         for z, chi_c2, electrons in _elements(self.slab):
@@ -254,11 +254,10 @@ def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> li
             break
     stretch = float(np.hypot(1, tanl))
     xi = stretch * sum(slab.xi for slab in crossed)
-    chi_c2 = {
-        gas: stretch * sum(row[1] for slab in crossed if slab.ends == gas for row in _elements(slab))
-        for gas in (False, True)
-    }
-    return [TracedSlab(slab, xi, chi_c2[slab.ends], cut) for slab in found]
+    chi_c2 = stretch * sum(row[1] for slab in crossed for row in _elements(slab))
+    own = [stretch * sum(row[1] for row in _elements(slab)) for slab in found]
+    acting = np.maximum(np.minimum(stretch * compiled(detector, gaps=False).acting, chi_c2), own)
+    return [TracedSlab(slab, xi, float(one), cut) for slab, one in zip(found, acting, strict=True)]
 
 
 Stack = Callable[[cg.Detector, float, tuple[float, float]], list[TracedSlab]]

@@ -76,10 +76,10 @@ def resolutions(
     return {"p": float(found.sigma_p) / p / 10, "dr": float(found.sigma_dr), "dz": 1e3 * float(found.sigma_dz)}
 
 
-def epic(p: float, low: float, high: float, quantity: str) -> float:
-    """Return what the card says in the middle of a range of pseudorapidity."""
+def epic(p: float, low: float, high: float, quantity: str, shift: float = 0.0) -> float:
+    """Return what the card says in the middle of a range of pseudorapidity, with a shift of its constant term."""
     a, b = EPIC[low, high][quantity]
-    return float(np.hypot(a, b * p if quantity == "p" else b * np.cosh(0.5 * (low + high)) / p))
+    return float(np.hypot(a + shift, b * p if quantity == "p" else b * np.cosh(0.5 * (low + high)) / p))
 
 
 def expected(share: float) -> Numbers:

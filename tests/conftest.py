@@ -1,7 +1,8 @@
-"""Settings of all tests. The folder `helpers` is on the path, so that tests import them by name."""
+"""Settings and fixtures of all tests. The folder `helpers` is on the path, so that tests import them by name."""
 
 import os
 import sys
+from collections.abc import Iterator
 
 # Tests run in a process for each core: threads of OpenBLAS would only wait for each other. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -27,3 +28,14 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     """Write files without the picture, which take most of the time of a command; with the slow tests all are drawn."""
     if request.config.getoption("markexpr") == "not slow":
         monkeypatch.setattr("cgemit.draw.style.Picture.savefig", lambda _, stream, **how: stream.write(b"not drawn"))
+
+
+@pytest.fixture
+def equal_weights(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Compile detectors in which all matter of a track acts with every slab, for detectors that the test loads."""
+    from cgemit.detector import core
+
+    monkeypatch.setattr(core, "_share_scattering", lambda *_: None)
+    core.forget()
+    yield
+    core.forget()

@@ -121,6 +121,7 @@ def test_without_matter(n: int) -> None:
     assert distance(found, without_matter(n, 0.1, FIRST + 5)) > GATE
 
 
+@pytest.mark.usefixtures("equal_weights")  # so that equal layers have equal angles
 @pytest.mark.parametrize("n", [4, 8])
 def test_matter_alone(n: int) -> None:
     """Drasal and Riegler: exact points, equal matter."""
@@ -130,6 +131,7 @@ def test_matter_alone(n: int) -> None:
     assert distance(found, matter_alone(n, angle, FIRST + 5)) > GATE
 
 
+@pytest.mark.usefixtures("equal_weights")
 @pytest.mark.parametrize("sigma", [5e-4, 3e-3, 1e-2])
 def test_matter_and_errors(sigma: float) -> None:
     """One layer's angle moves the track at the next one by 2.3, 0.4 and 0.12 times the error."""

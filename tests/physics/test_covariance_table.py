@@ -90,10 +90,10 @@ def matter(found: list[Slab], wires: Columns, detector: cg.Detector, p: float, c
             bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=carbon,
             layers=layer_table(detector.cgem), wires=wires, screening=_core.Screening.wentzel,
         )  # fmt: skip
-        totals = _core.total_matter(core, cos_theta * sec)[2:]
+        total = _core.total_matter(core, cos_theta * sec)[2]
         now = [
-            _core.scattering_angle(core, i, path=1.0, p=p, mass=MUON, charge=-1.0, track_chi_c2=totals[int(slab.ends)])
-            for i, slab in enumerate(found)
+            _core.scattering_angle(core, i, path=1.0, p=p, mass=MUON, charge=-1.0, track_chi_c2=total)
+            for i in range(len(found))
         ]
         moles = moles * angle2 * x0 / np.square(now)
     return core

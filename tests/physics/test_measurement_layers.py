@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit import _core
+from cgemit.detector import compiled
 from cgemit.helix import RADIUS_PER_KAPPA
 from pages import presets
 
@@ -145,7 +147,7 @@ BARRELS = {
 GAUSSIAN = ("besiii-pixel", "stcf-like", "kloe2-like")
 #: One track in a thousand is on the wrong side of many wires, or lacks a hit of the pixels: half of the central 68 %
 #: instead of the RMS.
-CORES = ("besiii-pixel", "kloe2-like")
+CORES = ("besiii-pixel", "cepc-like", "kloe2-like")
 #: The fit reports tracks of `kloe2-like` that lose most of their wires (`hits_left_out`).
 LEAST = {"kloe2-like": 0.997}
 
@@ -197,6 +199,45 @@ def test_barrels_see_missing_matter(name: str, thinner: dict[str, str]) -> None:
     assert found > 1.06 * sigma[1]
 
 
+THIN = [("cepc-like", 1.0), ("epic-like", 0.5), ("idea-like", 1.0)]
+
+
+def cores_of_pulls(name: str, p: float, cos_theta: tuple[float, float] = (-0.7, 0.7)) -> np.ndarray:
+    """Return half of the central 68 % of pulls of position and direction, simulated with single scatters."""
+    tracks = cg.run(name, cg.Gun("mu-", p=p, cos_theta=cos_theta), 5000, 1).tracks
+    assert (tracks["status"] == 0).mean() > 0.99
+    return np.array([central(tracks[f"pull_{name}"]) for name in ("dr", "phi0", "dz", "tanl")])
+
+
+@pytest.mark.parametrize(("name", "p"), THIN)
+def test_cores_of_thin_precise_layers(name: str, p: float) -> None:
+    np.testing.assert_allclose(cores_of_pulls(name, p), 1, atol=0.05)
+
+
+@pytest.mark.parametrize(("name", "cos_theta"), [("cepc-like", (0.88, 0.93)), ("epic-like", (0.885, 0.905))])
+def test_cores_of_tracks_that_miss_outer_layers(name: str, cos_theta: tuple[float, float]) -> None:
+    np.testing.assert_allclose(cores_of_pulls(name, 1.0, cos_theta), 1, atol=0.06)
+
+
+@pytest.mark.usefixtures("equal_weights")
+@pytest.mark.parametrize(("name", "p"), THIN[:2])
+def test_all_matter_with_every_layer_is_too_much(name: str, p: float) -> None:
+    assert (cores_of_pulls(name, p) < 0.95).all()
+
+
+def test_matter_behind_the_last_hit_changes_errors_by_less_than_one_per_cent() -> None:
+    """With all matter in every logarithm they would be 12 % larger."""
+    layer = {"radius": "900 mm", "length": "3000 mm", "material": "Cu", "thickness": "20 mm"}
+    behind = {"base": "besiii-pixel", "name": "behind", "layer": {"BEHIND": layer}}
+    fit = cg.FitSettings(loss="mean")  # whose cut does not depend on all matter
+    a, b = (cg.analytic(cg.load(one), "mu-", p=1.0, cos_theta=0.0, fit=fit) for one in ("besiii-pixel", behind))
+    np.testing.assert_allclose(np.diag(b.cov), np.diag(a.cov), rtol=0.02)
+    thin, thick = (compiled(cg.load(one), gaps=False) for one in ("besiii-pixel", behind))
+    inside = _core.total_matter(thin, 0.0)[2]
+    assert _core.total_matter(thick, 0.0)[2] > 50 * inside
+    assert thick.acting[np.isfinite(thick.acting)].max() <= inside
+
+
 def test_the_finder_keeps_hits_that_are_finer_than_its_first_pass_is_straight() -> None:
     """Pixels of 5 um before a CGEM: the second pass begins up to 0.1 mm beside them, since a circle is no line."""
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.705, -0.695))
@@ -214,10 +255,12 @@ def test_a_barrel_beside_its_published_full_simulation(remove: list[str]) -> Non
     for p in presets.EPIC_MOMENTA:
         found = presets.resolutions(detector, "pi-", p, (0.0, math.tanh(0.5)))
         ratio = {name: value / presets.epic(p, 0.0, 0.5, name) for name, value in found.items()}
-        assert ratio["dr"] == pytest.approx(1, abs=0.15)
-        assert ratio["dz"] == pytest.approx(1, abs=0.15)
-        assert ratio["p"] == pytest.approx(1, abs=0.08) or (remove and p >= 5)
-    assert ratio["p"] < 1 or (remove and ratio["p"] > 1.15)
+        assert ratio["dr"] == pytest.approx(1, abs=0.08 if p <= 5 else 0.12)
+        assert ratio["dz"] == pytest.approx(1, abs=0.08 if p <= 5 else 0.12)
+        # The published constant term of 0.4 % has one digit.
+        low, high = (presets.epic(p, 0.0, 0.5, "p", shift) for shift in (-0.05, 0.05))
+        assert 0.92 * low < found["p"] < 1.08 * high or (remove and p >= 5)
+    assert found["p"] > 1.15 * high if remove else found["p"] < high
 
 
 def singles() -> dict[str, list[dict[str, str]]]:

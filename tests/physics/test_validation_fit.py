@@ -54,9 +54,9 @@ def no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "_has_optimum", lambda point: False)
 
 
-def results(point: Point) -> FitResults:
+def results(point: Point, tracks: int = TRACKS) -> FitResults:
     """Return what the validation measures at a point."""
-    pulls, chi2, residuals, widths = measure_point(point, TRACKS, 2, some=3)
+    pulls, chi2, residuals, widths = measure_point(point, tracks, 2, some=3)
     return FitResults(pulls, [chi2], residuals, widths, losses=[], sides=[], known=[])
 
 
@@ -72,7 +72,8 @@ def test_point_agrees(point: Point) -> None:
     found = results(point)
     assert len(found.pulls) >= 5
     assert bool(found.residuals) == (point.mode == "gaussian")
-    assert not failures(found)
+    # Of the 2000 rows of all points one is beyond four standard errors in every tenth set of seeds.
+    assert not failures(found) or not failures(results(point, 4 * TRACKS))
 
 
 def test_every_gate_sees_errors_that_are_a_sixth_too_small(monkeypatch: pytest.MonkeyPatch) -> None:

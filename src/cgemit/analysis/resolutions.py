@@ -487,7 +487,7 @@ def fit_form(
     >>> muons = cg.analytic("besiii-cgem-design", p=[0.3, 0.5, 1.0, 2.0])
     >>> found = cg.study.fit_form("dr", muons.p, muons.sigma("dr"))
     >>> print(found.formula, round(found.a), round(found.b), found.b_unit)
-    sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta) 134 83 um GeV/c
+    sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta) 134 82 um GeV/c
     """
     x, y = np.asarray(p, np.float64), np.asarray(sigma, np.float64)
     weight = y if error is None else np.asarray(error, np.float64)

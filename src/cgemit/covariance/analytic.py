@@ -183,10 +183,10 @@ def analytic(
     >>> muons = cg.analytic("besiii-cgem-design", "mu-", p=[0.3, 1.0])
     >>> muons
     <besiii-cgem-design, mu-, readout binary
-      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 308.5 um, sigma(d_z) 0.4323 mm, sigma(p) 0.834 MeV/c
-      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.6 um, sigma(d_z) 0.2833 mm, sigma(p) 4.654 MeV/c>
+      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 306.4 um, sigma(d_z) 0.4306 mm, sigma(p) 0.8432 MeV/c
+      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.2 um, sigma(d_z) 0.2831 mm, sigma(p) 4.671 MeV/c>
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
-    [308. 168.] [0.83 4.65]
+    [306. 167.] [0.84 4.67]
     """
     detector, fit = load(detector), _FIT if fit is None else fit
     if not isinstance(fit, FitSettings):

@@ -81,7 +81,7 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
 
 def core_of(base: Covariance, variant: Detector) -> _core.Detector:
     """Return a variant as the fit of a covariance compiles it, with stereo angles that follow continuously."""
-    return compiled_for_fit(_with_stereo(variant, base.detector), base._tracks.fit)
+    return compiled_for_fit(_with_stereo(variant, base.detector), base._tracks.fit, base.detector)
 
 
 def keeps_order(base: Covariance, core: _core.Detector) -> bool:
@@ -238,7 +238,7 @@ def sensitivity(
     besiii-cgem-design, mu-, p 1 GeV/c, cos(theta) 0
     1 % more of      sigma(dr) [%]  sigma(dz) [%]  sigma(p) [%]
     field.bz                -0.082         -0.070        -0.998
-    cgem.L1.pitch_x         +0.291         +0.012        +0.036
+    cgem.L1.pitch_x         +0.292         +0.012        +0.034
     """
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)

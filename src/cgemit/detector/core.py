@@ -398,7 +398,7 @@ def _made(
     table = slab_table(found)
     if not matter:
         table = without_matter(table)
-    return _core.Detector(
+    core = _core.Detector(
         bz=detector.field.bz,
         **table._asdict(),
         layers=layer_table(detector.layers),
@@ -412,6 +412,9 @@ def _made(
         simulated=gaps,
         momentum_error=momentum_error,
     )
+    if matter:
+        _share_scattering(core, detector.layers)
+    return core
 
 
 _kept, _shared = once(_made), lru_cache(maxsize=64)(_made)
@@ -421,6 +424,55 @@ MOST_MOMENTUM_ERROR = 0.003  #: Largest relative error of momenta that stragglin
 _MUON = 0.1056583755  # GeV/c2
 _GEV_PER_T_MM = 0.299792458e-3  # momentum over field times radius
 _KAPPA = 9  # its variance among those of the upper triangle of a covariance
+
+
+def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
+    """Return the expected covariance of a muon of 1 GeV/c across the beam, None where it cannot be fitted."""
+    one, none = np.ones(1), np.zeros(1)
+    # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs.
+    found = _core.covariances(
+        core, phi=0.1 * one, kappa=-one, tanl=none, mass=_MUON * one, scatters=none, samples=1,
+        phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
+        model={
+            "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,
+            "prior_sigma": (20.0, 0.1, 1.0, 100.0, 0.2), "cos_theta": [0.0], "corr_xv": [0.0] * len(layers),
+            "sigma_x": [_error(layer, 0) or 1.0 for layer in layers],
+            "sigma_v": [_error(layer, 1) or 1.0 for layer in layers],
+        },
+    )  # fmt: skip
+    return None if found["status"].any() else found
+
+
+def with_hits_of(kept: _core.Detector, core: _core.Detector, layers: Sequence[Layer]) -> _core.Detector:
+    """Return a variant of a detector in which the same hits tell the matter that acts with each slab.
+
+    It then changes in no steps where the muon crosses another cell. With slabs or wires in another order the variant is
+    returned as it is.
+
+    Parameters
+    ----------
+    kept, core : _core.Detector
+        The detector and the variant.
+    layers : sequence of Layer
+        Of the variant.
+    """
+    if not _core.same_surfaces(kept, core):
+        return core
+    core = core.with_acting(np.full(core.n_slabs, np.inf))
+    _share_scattering(core, layers, kept)
+    return core
+
+
+def _share_scattering(core: _core.Detector, layers: Sequence[Layer], hits_of: _core.Detector | None = None) -> None:
+    """Tell every slab which matter acts with it."""
+    variants = {"variants": [core]} if hits_of else {}
+    found = _muon_across(hits_of or core, layers, budget=True, **variants)
+    if found is None:
+        return
+    # Terms of the budget: hits, scattering and straggling of each slab, the prior. Without the covariance, the last one.
+    terms = found["budget"][0, :, :5]
+    parts = terms[len(terms) - 1 - 2 * core.n_slabs : -1 : 2]
+    core.share_scattering(parts=parts, variances=terms.sum(axis=0))
 
 
 def _error(layer: Layer, view: int) -> float:
@@ -450,8 +502,8 @@ def usual_momentum_error(detector: Detector) -> float:
     detector : Detector
     """
     layers = detector.layers
-    errors = [(_error(layer, 0), _error(layer, 1)) for layer in layers]
-    seen = [(layer.r_mid, layer.r_mid, error, 1) for layer, (error, _) in zip(layers, errors, strict=True) if error > 0]
+    errors = [_error(layer, 0) for layer in layers]
+    seen = [(layer.r_mid, layer.r_mid, error, 1) for layer, error in zip(layers, errors, strict=True) if error > 0]
     if detector.drift_chamber and detector.drift_chamber.layers:
         seen.append(_reach(detector.drift_chamber))
     first, last, least, many = zip(*seen, strict=True) if seen else ((0.0,), (0.0,), (0.0,), (0,))
@@ -459,17 +511,8 @@ def usual_momentum_error(detector: Detector) -> float:
     sagitta = _GEV_PER_T_MM * abs(detector.field.bz) * lever**2
     if number < 3 or min(least) * math.sqrt(720 / (number + 4)) > MOST_MOMENTUM_ERROR * sagitta:
         return MOST_MOMENTUM_ERROR
-    one, none = np.ones(1), np.zeros(1)
-    found = _core.covariances(
-        compiled(detector, gaps=False, momentum_error=0.0), phi=0.1 * one, kappa=-one, tanl=none, mass=_MUON * one,
-        scatters=none, samples=1, phases=np.full((1, 2 * len(layers)), 0.5), budget=False,
-        model={
-            "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,
-            "prior_sigma": (1e3, 10.0, 1e2, 1e4, 1e2), "cos_theta": [0.0], "corr_xv": [0.0] * len(layers),
-            "sigma_x": [x or 1.0 for x, _ in errors], "sigma_v": [v or 1.0 for _, v in errors],
-        },
-    )  # fmt: skip
-    if found["status"][0] != 0:
+    found = _muon_across(compiled(detector, gaps=False, momentum_error=0.0), layers)
+    if found is None:
         return MOST_MOMENTUM_ERROR
     return float(min(MOST_MOMENTUM_ERROR, math.sqrt(found["covariance"][0, _KAPPA])))
 

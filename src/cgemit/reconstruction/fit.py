@@ -15,6 +15,7 @@ from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import SCREENINGS, Detector, Screening, compiled, load, slabs
+from cgemit.detector.core import with_hits_of
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.states import SurfaceName, state_columns
@@ -270,15 +271,19 @@ def _start(given: npt.ArrayLike | None, n: int) -> Floats:
     return start
 
 
-def compiled_for_fit(detector: Detector, settings: FitSettings) -> _core.Detector:
+def compiled_for_fit(detector: Detector, settings: FitSettings, kept: Detector | None = None) -> _core.Detector:
     """Return the compiled detector with the matter that the fit assumes for tracks from the radius of the settings.
 
     Parameters
     ----------
     detector : Detector
     settings : FitSettings
+    kept : Detector or None
+        Of which this one is a variant with the same hits (`with_hits_of`).
     """
     core = _compiled(detector, settings)
+    if kept is not None and settings.matter:
+        core = with_hits_of(_compiled(kept, settings), core, detector.layers)
     return core.beginning_at(settings.start_radius) if settings.start_radius else core
 
 

@@ -122,5 +122,6 @@ void bind_covariance(py::module_& module) {
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
       "expected hits of all tracks (X, V - k x, or signed distance from a wire, mm; variance, mm2). Rows of "
-      "`variants` of the detector, which keep the hits of the first one, follow those of the detector.");
+      "`variants` of the detector, which keep the hits of the first one, follow those of the detector. The "
+      "budget is that of the last one.");
 }

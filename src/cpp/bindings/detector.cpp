@@ -241,8 +241,38 @@ void bind_detector(py::module_& module) {
            "The detector for the fit of particles that begin at a radius (mm): matter inside was not "
            "crossed, or "
            "twice if the radius is negative.")
+      .def(
+          "share_scattering",
+          [](Detector& detector, const Array<double>& parts, const Array<double>& variances) {
+            const auto n = static_cast<py::ssize_t>(detector.slabs.size());
+            const auto columns = matrix(parts, "parts", n, 5);
+            std::vector<std::array<double, 5>> rows(detector.slabs.size());
+            for (std::size_t i = 0; i < rows.size(); ++i)
+              std::ranges::copy(columns.subspan(5 * i, 5), rows[i].begin());
+            std::array<double, 5> whole{};
+            std::ranges::copy(column(variances, "variances", 5), whole.begin());
+            share_scattering(detector, rows, whole);
+          },
+          py::kw_only(), py::arg("parts"), py::arg("variances"),
+          "Set the matter that acts with each slab, from the variances of the parameters of one track and "
+          "the "
+          "parts of each slab's scatters in them.")
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
+      .def(
+          "with_acting",
+          [](Detector detector, const Array<double>& acting) {
+            const auto values = column(acting, "acting", static_cast<py::ssize_t>(detector.slabs.size()));
+            for (std::size_t i = 0; i < detector.slabs.size(); ++i) detector.slabs[i].acting = values[i];
+            return detector;
+          },
+          py::arg("acting"), "The detector with other matter that acts with its slabs, GeV^2.")
+      .def_property_readonly("acting",
+                             [](const Detector& d) {
+                               std::vector<double> acting;
+                               for (const Slab& slab : d.slabs) acting.push_back(slab.acting);
+                               return to_numpy(std::move(acting));
+                             })
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_layers", [](const Detector& d) { return d.layers.size(); })
       .def_property_readonly("n_wire_layers", [](const Detector& d) { return d.wires.size(); });

@@ -42,26 +42,24 @@ void bind_matter(py::module_& module) {
       "total_matter",
       [](const Detector& detector, double tanl) {
         const TrackMatter total = total_matter(detector, tanl);
-        return py::make_tuple(total.x0, total.xi, total.scattering[0].chi_c2, total.scattering[1].chi_c2);
+        return py::make_tuple(total.x0, total.xi, total.chi_c2);
       },
       py::arg("detector"), py::arg("tanl"),
-      "Radiation lengths, xi beta^2 (GeV) and (chi_c p beta)^2 (GeV^2) outside and inside the drift "
-      "chamber's "
-      "gas, along a straight line from the origin.");
+      "Radiation lengths, xi beta^2 (GeV) and (chi_c p beta)^2 (GeV^2) along a straight line from the "
+      "origin.");
   module.def(
       "scattering_angle",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge,
          double track_chi_c2) {
         const Kinematics k = particle(p, mass, charge);
         TrackMatter track;
-        const Slab& crossed = slab_of(detector, slab);
-        track.scattering[scattering_group(crossed)] = {track_chi_c2, std::log(track_chi_c2)};
-        return std::sqrt(scattering_variance(crossed, path, k, k, track));
+        track.chi_c2 = track_chi_c2;
+        return std::sqrt(scattering_variance(slab_of(detector, slab), path, k, k, track));
       },
       py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"), py::arg("p"), py::arg("mass"),
       py::arg("charge") = 1.0, py::arg("track_chi_c2"),
-      "Plane multiple-scattering angle, rad, used by the fit for a slab of a track that crosses track_chi_c2 "
-      "in all slabs of its group.");
+      "Plane multiple-scattering angle, rad, used by the fit for a slab of a track that crosses "
+      "track_chi_c2.");
   module.def(
       "restricted_loss",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge, double cut) {

@@ -92,7 +92,7 @@ class CovarianceBatch {
         finish(detector_of(v), v, i, n);
         if (v == 0 && out_.hits != nullptr) write_hits(n);
       }
-      if (v == 0) flush(first, width);
+      if (v + 1 == recorded.size()) flush(first, width);
     }
     return true;
   }
@@ -144,7 +144,7 @@ class CovarianceBatch {
       rows[k].status = status(static_cast<int>(k), valid);
       set_lane(ok, static_cast<int>(k), rows[k].status == FitStatus::ok);
     }
-    Budget<T>(detector, group_, variant == 0 ? terms_.data() : nullptr, ok)
+    Budget<T>(detector, group_, variant == input_.variants.size() ? terms_.data() : nullptr, ok)
         .split(model_.prior_sigma, state.c);
     write(state.c, rows, n);
   }

@@ -82,7 +82,7 @@ struct ExpectedHit {
 };
 
 // One row per track, then one per track for each variant. `budget` may be null; otherwise it holds
-// `BudgetTerms` for each point: sums over its tracks with status ok, without variants. `hits` may be null;
+// `BudgetTerms` for each point: sums over its tracks with status ok, of the last variant. `hits` may be null;
 // otherwise it receives the hits of the tracks, each track's from the beam line outward, without variants.
 struct CovarianceOutput {
   CovarianceRow* rows;

@@ -69,11 +69,13 @@ struct alignas(64) Slab {
   bool shifts;  // derived: whether shifts inside the slab matter: below 5 um at 1 GeV/c any hit error exceeds
                 // them
 
-  double x0;            // thickness in radiation lengths at normal incidence
-  double r_in;          // mm
-  double r_out;         // mm
-  Holes holes;          // pitch 0: none
-  std::uint32_t place;  // RNG counter `place`
+  double acting = HUGE_VAL;  // GeV^2 at normal incidence, chi_c^2 of the matter that acts with this slab, its
+                             // own included, times (p beta)^2; infinite: all (`share_scattering`)
+  double x0;                 // thickness in radiation lengths at normal incidence
+  double r_in;               // mm
+  double r_out;              // mm
+  Holes holes;               // pitch 0: none
+  std::uint32_t place;       // RNG counter `place`
   std::vector<Component> components;
   std::array<SlabPoint, loss_points> table;
   // Derived, of scatters with a larger transfer, which are drawn one by one:

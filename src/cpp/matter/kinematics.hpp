@@ -32,8 +32,8 @@ template <class T>
 struct KinematicsOf {
   T p, energy, mass;
   T per_p, per_energy, per_mass, per_beta, per_beta2, beta2, gamma;
-  T log_bg, log_gamma;  // ln(beta gamma), ln(gamma)
-  T has_spin;           // 1 for spin 1/2, else 0; it affects the collision spectrum of heavy particles
+  T log_bg;    // ln(beta gamma)
+  T has_spin;  // 1 for spin 1/2, else 0; it affects the collision spectrum of heavy particles
   Projectile projectile;
 
   KinematicsOf(T momentum, T mass_, Projectile projectile_)
@@ -45,7 +45,6 @@ struct KinematicsOf {
         projectile(projectile_) {
     follow();
     log_bg = log(p * per_mass);
-    log_gamma = log(gamma);
   }
   // The same particle with less energy. Small changes, as in a thin slab, need no logarithm.
   KinematicsOf after_loss(T loss) const {
@@ -54,22 +53,19 @@ struct KinematicsOf {
     k.p = sqrt((k.energy - mass) * (k.energy + mass));
     k.follow();
     k.log_bg += log_ratio(k.p, p, per_p);
-    k.log_gamma += log_ratio(k.energy, energy, per_energy);
     return k;
   }
   // Takes a in the lanes of `m` and b in the others.
   friend KinematicsOf select(mask_of<T> m, KinematicsOf a, const KinematicsOf& b) {
-    for (T KinematicsOf::* x :
-         {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p, &KinematicsOf::per_energy,
-          &KinematicsOf::per_beta, &KinematicsOf::per_beta2, &KinematicsOf::beta2, &KinematicsOf::gamma,
-          &KinematicsOf::log_bg, &KinematicsOf::log_gamma})
+    for (T KinematicsOf::* x : {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p,
+                                &KinematicsOf::per_energy, &KinematicsOf::per_beta, &KinematicsOf::per_beta2,
+                                &KinematicsOf::beta2, &KinematicsOf::gamma, &KinematicsOf::log_bg})
       a.*x = select(m, a.*x, b.*x);
     return a;
   }
   bool is_light() const { return projectile >= Projectile::electron; }
   T beta() const { return p * per_energy; }
   T kinetic() const { return energy - mass; }
-  T log_beta2() const { return 2.0 * (log_bg - log_gamma); }
   // Largest energy transfer of one collision to an electron at rest; PDG 2024 eq. 34.4. Of two electrons the
   // slower one counts as struck; a positron can lose all its energy.
   T w_max() const {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <deque>
 #include <utility>
 #include <vector>
@@ -163,6 +164,33 @@ void prepare_scattering(Detector& detector, Screening screening, bool drawn) {
       prepare_hard(slab, screening);
     }
     prepare_table(slab, drawn, grids);
+  }
+}
+
+void share_scattering(Detector& detector, std::span<const std::array<double, 5>> parts,
+                      const std::array<double, 5>& variances) {
+  // Radius of the last surface that measures, mm; without any, as for layers of matter alone, all matter
+  // counts.
+  double last = detector.layers.empty() && detector.wires.empty() ? HUGE_VAL : 0;
+  for (const MeasuringLayer& layer : detector.layers) last = std::max(last, layer.r_readout);
+  for (const WireLayer& layer : detector.wires) last = std::max(last, std::sqrt(layer.waist));
+  double before = 0;  // chi_c^2
+  std::array<double, 5> scattered{};
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    if (detector.slabs[i].radius < last) before += detector.slabs[i].chi_c2;
+    for (std::size_t k = 0; k < scattered.size(); ++k) scattered[k] += parts[i][k];
+  }
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    Slab& slab = detector.slabs[i];
+    double weights = 0, logarithms = 0;
+    for (std::size_t k = 0; k < scattered.size(); ++k) {
+      if (!(parts[i][k] > 0)) continue;
+      const double weight = parts[i][k] / variances[k];
+      weights += weight;
+      logarithms += weight * std::log(scattered[k] / parts[i][k]);
+    }
+    if (weights > 0 && slab.radius < last)
+      slab.acting = std::min(before, slab.chi_c2 * std::exp(logarithms / weights));
   }
 }
 

@@ -7,7 +7,9 @@
 // nuclear size reduces scattering at large transfers, and electrons take at most their largest recoil.
 #pragma once
 
+#include <array>
 #include <cmath>
+#include <span>
 
 #include "matter/draws.hpp"
 #include "matter/track.hpp"
@@ -24,9 +26,21 @@ enum class Screening { wentzel, moliere };
 void prepare_scattering(Detector& detector, Screening screening, bool drawn);
 
 // Gaussian core of the angular distribution: variance of all scatters below a transfer q_F, with a fraction 1
-// - F cut off on either side; Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eq. 7, F = 0.98. q_F is
-// the same for all slabs of a group on the track, so that their variances add up.
+// - F cut off on either side; Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eq. 7, F = 0.98.
+//
+// Scattering moves a parameter k by the sum of the plane angles of all slabs with weights w_ik. This sum is
+// distributed as the angle of one slab with chi_c^2 = sum_j w_jk^2 chi_c,j^2, whose scatters below q_F are
+// those of slab i below q_F/|w_ik|. So the matter that acts with slab i is
+//   X_ik = chi_c,i^2 V_k/V_ik,
+// with the variance V_k of the parameter by scattering and the part V_ik of slab i. Where all weights are
+// equal, X_ik is all matter, however it is cut.
 inline constexpr double core_fraction = 0.98;
+
+// Fills in `Slab::acting` from the mean of ln X_ik over the parameters, each with the slab's part in its
+// whole variance as weight; at most the matter before the last surface that measures. `parts`: V_ik for all
+// slabs, `variances`: of the parameters, by scattering and hits.
+void share_scattering(Detector& detector, std::span<const std::array<double, 5>> parts,
+                      const std::array<double, 5>& variances);
 
 // Variance of the plane angle. 1/(p beta) is the geometric mean of the values before and after the slab.
 template <class T>
@@ -34,12 +48,11 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
                       const TrackMatterOf<T>& track) {
   const T screening = read<&SlabPoint::log_screening>(slab, before.log_bg).value;
   constexpr double cut_scale = 0.5 / (1 - core_fraction);  // q_F^2 = cut_scale chi_c^2 p^2
-  static const double log_cut_scale = std::log(cut_scale);
-  const ScatteringSumOf<T>& total = track.scattering[scattering_group(slab)];
-  const T log_cut = log_cut_scale + total.log_chi_c2 - before.log_beta2();
-  T sum = slab.chi_c2 * (log_cut - screening - 1.0);
+  const T acting = larger(smaller(slab.acting * track.path, track.chi_c2), slab.chi_c2 * track.path);
+  const T cut = cut_scale * acting * before.per_beta2;
+  T sum = slab.chi_c2 * (log(cut) - screening - 1.0);
   // Electrons recoil with at most 2 m_e W_max; where this is below the cut, it limits their part of the core.
-  const T recoil = 2 * electron_mass * before.w_max(), cut = cut_scale * total.chi_c2 * before.per_beta2;
+  const T recoil = 2 * electron_mass * before.w_max();
   const mask_of<T> less = recoil < cut;
   if (any(less)) sum -= select(less, slab.chi_c2_electrons * log(cut / recoil), T(0.0));
   const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;

@@ -1,10 +1,10 @@
 // The total matter along a track, and the path of a track in a slab.
 //
 // Core widths of scattering and straggling are not additive: the sum changes if a slab is cut in two. The
-// core is therefore computed once for all matter that acts on the same parameters and shared out in
-// proportion, so that the result does not depend on how matter is cut. All energy losses act on kappa. Of the
-// scatters only those between the wires act on kappa, and they contain a few per cent of the matter, so they
-// have their own core.
+// core of a slab is therefore that of all matter that acts on the same parameters, so that the result does
+// not depend on how matter is cut. All energy losses act on kappa. Which scatters act together, each slab
+// knows
+// (`Slab::acting`).
 #pragma once
 
 #include <algorithm>
@@ -21,27 +21,17 @@ namespace cgemit {
 // Below this kinetic energy a particle counts as stopped.
 inline constexpr double least_kinetic = 0.1 * MeV;
 
-// Groups of slabs whose scatters act on the same parameters: the gas and wires of the drift chamber, which
-// alone affect kappa, and all other slabs, which affect direction and position at the origin.
-inline constexpr std::size_t scattering_groups = 2;
-inline std::size_t scattering_group(const Slab& slab) { return slab.ends ? 1 : 0; }
-
-// chi_c^2 times (p beta)^2 of a group of slabs along the track, GeV^2, and its logarithm.
-template <class T>
-struct ScatteringSumOf {
-  T chi_c2{0.0}, log_chi_c2{0.0};
-};
-
 // Sums over all slabs, along the track.
 template <class T>
 struct TrackMatterOf {
-  T x0{0.0};                                                       // radiation lengths
-  T xi{0.0};                                                       // GeV, Landau's xi times beta^2
-  std::array<ScatteringSumOf<T>, scattering_groups> scattering{};  // by `scattering_group`
+  T x0{0.0};      // radiation lengths
+  T xi{0.0};      // GeV, Landau's xi times beta^2
+  T chi_c2{0.0};  // GeV^2, chi_c^2 times (p beta)^2
   LossCuts loss{};
   // A cut of the loss on this track, GeV, its inverse and its logarithm: the logarithms of the cuts elsewhere
   // on the track follow by a series.
   T cut{1.0}, per_cut{1.0}, log_cut{0.0};
+  T path{1.0};  // over that at normal incidence
 };
 using TrackMatter = TrackMatterOf<double>;
 
@@ -54,17 +44,14 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
     const mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
     total.x0 += select(met, T(slab.x0), 0.0);
     total.xi += select(met, T(slab.xi), 0.0);
-    total.scattering[scattering_group(slab)].chi_c2 += select(met, T(slab.chi_c2), 0.0);
+    total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
     if (slab.ends) inside = met;
   }
-  const T path = sqrt(1.0 + tanl * tanl);
-  total.x0 *= path;
-  total.xi *= path;
+  total.path = sqrt(1.0 + tanl * tanl);
+  total.x0 *= total.path;
+  total.xi *= total.path;
+  total.chi_c2 *= total.path;
   total.loss = detector.loss;
-  for (ScatteringSumOf<T>& sum : total.scattering) {
-    sum.chi_c2 *= path;
-    sum.log_chi_c2 = log(larger(sum.chi_c2, 1e-15));  // finite for an empty detector, too
-  }
   return total;
 }
 

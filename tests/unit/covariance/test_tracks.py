@@ -13,7 +13,7 @@ import pytest
 from scipy.special import erf
 
 import cgemit as cg
-from cgemit import isa
+from cgemit import _core, isa
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import SECOND_INSIDE, measure
 from cgemit.covariance.result import sources
@@ -21,6 +21,7 @@ from cgemit.covariance.sensitivity import varied
 from cgemit.covariance.tracks import core_width, status_of
 from cgemit.detector import compiled, slabs
 from cgemit.detector.readouts import READOUTS
+from cgemit.reconstruction.fit import compiled_for_fit
 from fields import HARMONIC
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
@@ -493,6 +494,22 @@ def test_a_variant_without_a_change_has_the_same_covariance(cos_theta: float, sa
     np.testing.assert_allclose(same.sigma("p"), base.sigma("p"), rtol=1e-8)
 
 
+@pytest.mark.parametrize("samples", [1, 16])
+def test_the_budget_is_that_of_the_last_variant(samples: int) -> None:
+    base = cg.analytic(DESIGN, "mu-", [0.3, 1.0], 0.3, samples=samples)
+    tracks, thick = base._tracks, DESIGN.with_overrides({"cgem.*.foil.Kapton.thickness": "x2"})
+    columns = {name: getattr(tracks, name) for name in ("phi", "kappa", "tanl", "mass", "scatters", "phases", "model")}
+
+    def budget(detector: cg.Detector, variants: list[_core.Detector]) -> np.ndarray:
+        core = compiled_for_fit(detector, tracks.fit)
+        return _core.covariances(core, **columns, samples=samples, budget=True, variants=variants)["budget"]
+
+    alone = budget(DESIGN, [])
+    np.testing.assert_allclose(budget(DESIGN, [compiled_for_fit(DESIGN, tracks.fit)]), alone, rtol=1e-9, atol=1e-20)
+    changed = budget(DESIGN, [compiled_for_fit(thick, tracks.fit)]).sum(axis=1) / alone.sum(axis=1)
+    assert (changed[:, 0] > 1.03).all()
+
+
 def test_a_derivative_that_cannot_keep_the_hits_is_named() -> None:
     """At its bound a layer touches the next one: the gas between them would come or go with any change."""
     key = "cgem.L2.anode_radius"
@@ -513,11 +530,13 @@ def test_stereo_angles_follow_the_radius_in_no_steps(layer: str) -> None:
     assert small == pytest.approx(large, abs=0.01)
 
 
+@pytest.mark.usefixtures("equal_weights")  # else it also changes the matter that acts with each slab
 def test_derivative_by_an_error_is_its_share_of_the_budget() -> None:
     how = {"readout": "gaussian", "phi": 0.4, "reveal_sides": True}
-    found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma"], quantities=("p", "dr"), **how)
+    detector = cg.load(DESIGN.name)  # compiled anew
+    found = cg.sensitivity(detector, "mu-", 1.0, 0.0, keys=["drift_chamber.sigma"], quantities=("p", "dr"), **how)
     for quantity in ("p", "dr"):
-        budget = cg.analytic(DESIGN, "mu-", 1.0, 0.0, **how).budget(quantity)
+        budget = cg.analytic(detector, "mu-", 1.0, 0.0, **how).budget(quantity)
         wires = sum(v for s, v in zip(budget.sources, budget.variances, strict=True) if s.name.startswith("wires"))
         assert float(found.of("drift_chamber.sigma", quantity)) == pytest.approx(float(wires / budget.total), rel=1e-4)
 

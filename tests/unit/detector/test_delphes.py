@@ -156,11 +156,12 @@ MOLIERE = cg.FitSettings(screening="moliere")
 MATTER = {"Be": (4, 9.012, 65.19), "C": (6, 12.011, 42.70), "Si": (14, 28.085, 21.82)}
 
 
-def least_squares(rows, p, cos_theta, bz):
-    """Return the covariance at the origin: helices, and scattering with one logarithm a track, shared out by chi_c^2.
+def least_squares(rows, p, cos_theta, bz, acting=1.0):
+    """Return the covariance at the origin, and the share of the matter that acts with each row.
 
-    G.R. Lynch and O.I. Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eqs. 2 to 6, with F = 0.98. The rows are beryllium
-    where the radiation length is its, silicon, or carbon.
+    Helices, and scattering by G.R. Lynch and O.I. Dahl, Nucl. Instrum. Methods B 58 (1991) 6, eqs. 2 to 6, with F =
+    0.98. The logarithm of a row has the share `acting` of all matter. The rows are beryllium where the radiation length
+    is its, silicon, or carbon.
     """
     sine = math.sqrt(1 - cos_theta**2)
     at, radii = np.array([0.0, 0.3, -1 / (p * sine), 0.0, cos_theta / sine]), [row[0] for row in rows]
@@ -183,13 +184,20 @@ def least_squares(rows, p, cos_theta, bz):
     z, a, x0 = (np.array([MATTER[row[3]][i] for row in rows]) for i in range(3))  # g/mol, g/cm2
     chi_c2 = 0.157e-6 * z * (z + 1) * np.array([row[1] for row in rows]) * slant * x0 / a / (p * beta) ** 2
     chi_a2 = 2.007e-11 * z ** (2 / 3) * (1 + 3.34 * (z / 137.036 / beta) ** 2) / p**2
-    v = 0.5 * chi_c2.sum() / math.exp(np.average(np.log(chi_a2), weights=chi_c2)) / (1 - 0.98)
-    thetas = np.sqrt(chi_c2 / (1 + 0.98**2) * ((1 + v) / v * math.log1p(v) - 1))
-    for i, theta in enumerate(thetas):
-        for one in np.eye(2):
-            by = slope(1e-6, lambda h, i=i, one=one: values(at, none + h * np.outer(np.eye(len(rows))[i], one)))
-            variance += theta**2 * np.outer(by, by)
-    return np.linalg.inv(design.T @ np.linalg.inv(variance) @ design)
+    v = 0.5 * acting * chi_c2.sum() / chi_a2 / (1 - 0.98)
+    thetas = np.sqrt(chi_c2 / (1 + 0.98**2) * ((1 + v) / v * np.log1p(v) - 1))
+    each = np.eye(2 * len(rows)).reshape(len(rows), 2, len(rows), 2)
+    kicks = np.array([[slope(1e-6, lambda h, one=one: values(at, h * one)) for one in row] for row in each])
+    for theta, (up, aside) in zip(thetas, kicks, strict=True):
+        variance += theta**2 * (np.outer(up, up) + np.outer(aside, aside))
+    cov = np.linalg.inv(design.T @ np.linalg.inv(variance) @ design)
+    # The part of a row in each variance; the mean of the logarithms of the matter that acts with it.
+    gain = cov @ design.T @ np.linalg.inv(variance)
+    parts = ((kicks @ gain.T) ** 2).sum(axis=1) * thetas[:, None] ** 2
+    weights = parts / np.diag(cov)
+    logs = np.log(np.where(parts > 0, parts.sum(axis=0) / np.where(parts > 0, parts, 1), 1))
+    mean = (weights * logs).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-300)
+    return cov, np.minimum(chi_c2 * np.exp(mean) / chi_c2.sum(), 1)
 
 
 @pytest.mark.slow
@@ -205,7 +213,9 @@ def test_resolutions_of_a_card_are_those_of_least_squares(tmp_path, p, cos_theta
             views = [(up, 1e3 * first)] * (first > 0) + [(down, 1e3 * second)] * (count > 1)
             matter = {0.35276: "Be", 0.0937: "Si"}.get(x0, "C")
             rows.append((1e3 * r, width / x0, views, matter))
-    expected = np.sqrt(np.diag(least_squares(rows, p, cos_theta, 2.0)))
+    _, acting = least_squares(rows, 1.0, 0.0, 2.0)
+    assert acting[0] < 0.3
+    expected = np.sqrt(np.diag(least_squares(rows, p, cos_theta, 2.0, acting)[0]))
     result = cg.analytic(cg.load(card(tmp_path)), "mu-", p=p, cos_theta=cos_theta, phi=0.3, fit=MOLIERE)
     found = np.sqrt(np.diag(result.cov))
     np.testing.assert_allclose(found[[0, 1, 3, 4]], expected[[0, 1, 3, 4]], rtol=0.01)

@@ -106,6 +106,80 @@ def test_scattering_is_additive(pieces):
     assert pieces * angle(piece, part) ** 2 < 0.95 * angle(whole, total) ** 2
 
 
+THREE = [(BERYLLIUM, 1.4, 30.0), (KAPTON, 0.3, 60.0), (COPPER, 0.03, 90.0)]
+
+
+def shared(weights):
+    """Return three slabs for a parameter that is the sum of their angles with these weights."""
+    core, parts = slab_detector(THREE), np.zeros((3, 5))
+    parts[:, 4] = np.square(weights) * [chi_c2([part[:2]]) for part in THREE]
+    core.share_scattering(parts=parts, variances=[1, 1, 1, 1, parts[:, 4].sum()])
+    return core
+
+
+def angles(core, track=None):
+    """Return the angles of three slabs for a muon of 1 GeV/c."""
+    track = track or _core.total_matter(core, 0.0)[2]
+    return np.array([
+        _core.scattering_angle(core, i, path=1.0, p=1.0, mass=MUON, track_chi_c2=track) for i in range(3)
+    ])  # fmt: skip
+
+
+def test_slabs_of_equal_weight_act_together():
+    np.testing.assert_allclose(angles(shared([2.0, 2.0, 2.0])), angles(slab_detector(THREE)), rtol=1e-12)
+
+
+def test_the_matter_that_acts_with_a_slab():
+    """It is chi_c^2 of the slab times the variance of the parameter over the slab's part."""
+    weights, each = np.array([1.0, 0.3, 0.0]), [chi_c2([part[:2]]) for part in THREE]
+    plain, found = slab_detector(THREE), angles(shared(weights))
+    matter = weights**2 @ each / weights[0] ** 2
+    assert matter < 0.9 * sum(each[:2])
+    assert found[0] == pytest.approx(angles(plain, matter)[0], rel=1e-12)
+    # The angle of the second slab counts less, that of the third one not at all: with them acts all matter at most.
+    assert weights**2 @ each / weights[1] ** 2 > sum(each)
+    np.testing.assert_allclose(found[1:], angles(plain)[1:], rtol=1e-12)
+
+
+def test_a_track_that_misses_other_matter() -> None:
+    """What acts is not more than the track crosses, and not less than the slab itself."""
+    each, plain, core = [chi_c2([part[:2]]) for part in THREE], slab_detector(THREE), shared([1.0, 0.5, 0.0])
+    acting = core.acting
+    assert each[0] < acting[0] < sum(each)
+    for track in (0.3 * each[0], 1.1 * each[0], 0.99 * sum(each)):
+        matter = max(min(acting[0], track), each[0])
+        assert angles(core, track)[0] == pytest.approx(angles(plain, matter)[0], rel=1e-12)
+
+
+def test_the_mean_over_parameters():
+    """Each has the slab's part in its variance as weight: what hits alone decide does not count."""
+    each = np.array([chi_c2([part[:2]]) for part in THREE])
+    parts = np.zeros((3, 5))
+    parts[:, 0], parts[:, 3] = each, np.array([1.0, 0.01, 0.0]) * each
+    for hits in (0.0, 1.0, 1e9):
+        core, variances = slab_detector(THREE), np.array([each.sum(), 1, 1, parts[:, 3].sum() * (1 + hits), 1])
+        core.share_scattering(parts=parts, variances=variances)
+        ratios = parts[0, [0, 3]] / parts[:, [0, 3]].sum(axis=0)
+        share = parts[0, [0, 3]] / variances[[0, 3]]
+        matter = each[0] * np.exp(-(share @ np.log(ratios)) / share.sum())
+        assert angles(core)[0] == pytest.approx(angles(slab_detector(THREE), matter)[0], rel=1e-12)
+    assert matter == pytest.approx(each.sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("weights", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.1), (0.1, 1.0, 0.1), (0.05, 0.2, 1.0)])
+def test_the_core_of_a_parameter_is_that_of_single_scatters(weights):
+    """Half of the central 68 % of a sum of simulated angles is as expected to 1 %."""
+    n, sums = 60_000, 0.0
+    for number, (weight, part) in enumerate(zip(weights, THREE, strict=True)):
+        out = _core.through_slabs(slab_detector([part]), p=1.0, mass=MUON, charge=-1, n=n, seed=number)
+        sums += weight * np.concatenate([out["angle_1"], out["angle_2"]])
+    found = np.quantile(np.abs(sums), 0.6827)
+    expected = math.hypot(*(weights * angles(shared(weights))))
+    assert_within(found, expected, math.hypot(expected / math.sqrt(2 * n), 0.01 / 4 * expected))
+    if min(weights) < 1:  # the gate sees all matter with every slab
+        assert found < 0.98 * math.hypot(*(weights * angles(slab_detector(THREE))))
+
+
 @each_passage
 def test_bethe(matter, thickness, p, mass):
     """The mean loss of all collisions is Bethe's with density effect, and has a slope of 1 in the path."""
@@ -232,20 +306,8 @@ def test_total_matter():
     xi = [m.xi(t) for m, t, _ in parts]
     chi = [chi_c2([part[:2]]) for part in parts]
     for tanl, met in ((0.0, 3), (-0.8, 3), (1.0, 2), (-2.0, 1)):
-        expected = [*(sum(column[:met]) * math.hypot(1, tanl) for column in (x0, xi, chi)), 0.0]
+        expected = [sum(column[:met]) * math.hypot(1, tanl) for column in (x0, xi, chi)]
         np.testing.assert_allclose(_core.total_matter(core, tanl), expected, rtol=1e-12)
-
-
-def test_chamber_gas_has_a_sum_of_its_own():
-    """The strengths of scattering are summed inside and outside the drift chamber."""
-    detector = load("besiii-cgem-design")
-    columns, _, elements = slab_table(slabs(detector))
-    strengths = [sum(strength(z)) * moles for z, moles in zip(elements["z"], elements["moles"], strict=True)]
-    of_slabs = np.add.reduceat(strengths, elements["first"][:-1])
-    gas = columns["ends"] == 1
-    found = _core.total_matter(compiled(detector), 0.0)[2:]
-    np.testing.assert_allclose(found, [of_slabs[~gas].sum(), of_slabs[gas].sum()], rtol=1e-9)
-    assert 10 < found[0] / found[1] < 50
 
 
 def test_total_matter_ends_with_the_chamber():

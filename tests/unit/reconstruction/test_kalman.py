@@ -547,7 +547,7 @@ def test_noise_vectors_are_kicks_seen_from_the_origin(shape, charge, bz):
     # The kicks' sizes: path, angle from momentum half-way through the loss, straggling, shift.
     across = at[:2] @ at[3:5] / columns["radius"][slab]
     path = math.hypot(1, at[5]) / across
-    _, track_xi, track_chi_c2, _ = _core.total_matter(core, parameters[4])
+    _, track_xi, track_chi_c2 = _core.total_matter(core, parameters[4])
     loss, variance, _ = _core._testing.core_loss(core, slab, path=path, p=p, mass=MUON, track_xi=track_xi)
     energy = math.hypot(p, MUON)
     after = math.sqrt((energy - loss) ** 2 - MUON**2)
@@ -639,6 +639,13 @@ def reference_field(core, parameters, hits):
     return _core._testing.reference(core, parameters, MUON, hits)
 
 
+def test_matter_acts_together_in_a_constant_map_as_in_a_uniform_field():
+    acting = [compiled(detector).acting for detector in (UNIFORM, EVEN)]
+    assert len(set(acting[0])) > 20
+    np.testing.assert_allclose(acting[1], acting[0], rtol=1e-5)
+
+
+@pytest.mark.usefixtures("equal_weights")
 @every_shape
 def test_constant_map_is_the_uniform_field(shape):
     """Rows and noise of two formulations agree: turns of helices, and transported derivatives."""
@@ -692,6 +699,7 @@ def test_differences_with_matter_field(shape):
         np.testing.assert_allclose(rows[:, i], (ahead - behind) / (2 * step[i]), rtol=0, atol=limit, err_msg=f"{i}")
 
 
+@pytest.mark.usefixtures("equal_weights")
 @every_shape
 def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
     """Two formulations of a scattered reference agree in what it meets and, to the size of the angles, in its rows."""

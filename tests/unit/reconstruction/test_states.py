@@ -352,6 +352,7 @@ def assert_close(found, expected, place=1e-9, parameters=1e-9, cov=1e-8):
     assert np.abs((found["cov"] - expected["cov"]) / (sigma[:, :, None] * sigma[:, None, :])).max() < cov
 
 
+@pytest.mark.usefixtures("equal_weights")
 @pytest.mark.parametrize("matter", [False, True])
 @pytest.mark.parametrize("radius", EVERY_RADIUS)
 def test_extrapolation_in_a_constant_map_is_that_of_the_uniform_field(radius, matter):

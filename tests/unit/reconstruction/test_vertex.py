@@ -284,7 +284,7 @@ def test_fitted_tracks_give_the_mass_and_its_error() -> None:
 def test_tracks_that_begin_at_their_vertex_have_unit_pulls() -> None:
     """K_S that decay beyond the beam pipe: the second fit leaves out the pipe, and mass and vertex get their errors."""
     detector = cg.load("besiii-cgem")
-    result = cg.run(detector, cg.sample("ks-pipi"), n=3000, seed=3)
+    result = cg.run(detector, cg.sample("ks-pipi"), n=6000, seed=3)
     before = cg.fit_vertices(detector, result.tracks)
     begun = begin_at_vertices(detector, result.candidates, result.tracks, before)
     again = fit(detector, result.clusters, result.wire_hits, begun, result.candidate_hits, result.settings.fit)[
@@ -297,7 +297,7 @@ def test_tracks_that_begin_at_their_vertex_have_unit_pulls() -> None:
         radius = np.hypot(pulls["truth_x"], pulls["truth_y"])
         beyond = (pulls["status"] == 0) & (radius > 34) & (radius < 110)
         widths.append([cg.study.measure(pulls[f"pull_{name}"][beyond]) for name in ("mass", "x")])
-        assert beyond.sum() > 500
+        assert beyond.sum() > 1000
     for old, new in zip(*widths, strict=True):
         assert abs(new.core - 1) < 0.05 + 3 * new.core_error
         assert abs(old.core - 1) > 0.05 + 1.5 * old.core_error  # the fit through the pipe fails

@@ -118,10 +118,10 @@ def optimize(
     >>> space = {"cgem.L2.anode_radius": ("120 mm", "140 mm")}
     >>> best = cg.study.optimize("besiii-cgem-design", space, "dr", evaluate={"p": 0.5, "samples": 4})
     >>> best
-    besiii-cgem-design, gradient: 10 designs, 6 gradients; Optimization terminated successfully
+    besiii-cgem-design, gradient: 9 designs, 5 gradients; Optimization terminated successfully
     design  cgem.L2.anode_radius (mm)  sigma_dr (um)
-    base                        132.5         224.87
-    10                            120         223.72
+    base                        132.5         223.58
+    9                             120         222.18
     """
     problems = Problems()
     start = load(base)
