@@ -469,7 +469,7 @@ def _share_scattering(core: _core.Detector, layers: Sequence[Layer], hits_of: _c
     found = _muon_across(hits_of or core, layers, budget=True, **variants)
     if found is None:
         return
-    # Terms of the budget: hits, scattering and straggling of each slab, the prior. Without the covariance, the last one.
+    # Terms of the budget: hits, scattering and straggling of each slab, the prior. The last column is a covariance.
     terms = found["budget"][0, :, :5]
     parts = terms[len(terms) - 1 - 2 * core.n_slabs : -1 : 2]
     core.share_scattering(parts=parts, variances=terms.sum(axis=0))
