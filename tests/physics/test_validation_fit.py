@@ -60,6 +60,11 @@ def results(point: Point, tracks: int = TRACKS) -> FitResults:
     return FitResults(pulls, [chi2], residuals, widths, losses=[], sides=[], known=[])
 
 
+def rows_off(found: FitResults) -> set[str]:
+    """Return which rows do not agree."""
+    return {text.partition(": ")[0] for text in failures(found)}
+
+
 def test_points_cover_the_grid() -> None:
     assert {(point.mode, point.detector) for point in POINTS} == {(point.mode, point.detector) for point in grid()}
     assert {point.p for point in POINTS} == set(MOMENTA)
@@ -73,7 +78,8 @@ def test_point_agrees(point: Point) -> None:
     assert len(found.pulls) >= 5
     assert bool(found.residuals) == (point.mode == "gaussian")
     # Of the 2000 rows of all points one is beyond four standard errors in every tenth set of seeds.
-    assert not failures(found) or not failures(results(point, 4 * TRACKS))
+    off = rows_off(found)
+    assert not off or not off & rows_off(results(point, 10 * TRACKS))
 
 
 def test_every_gate_sees_errors_that_are_a_sixth_too_small(monkeypatch: pytest.MonkeyPatch) -> None:

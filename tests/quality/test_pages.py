@@ -148,6 +148,7 @@ def slowness(row: fit.Pull) -> float:
 
 # Known to fail: what the pull is, why, and its allowed width, None where it must agree with the gate of the page.
 BEYOND = {
+    ("gaussian", "besiii-cgem-design", "pi+", 0.1, 0.8, "p"): ("mean 0.104 ± 0.004", None),
     ("gaussian", "besiii-idc", "proton", 0.35, 0.8, "p"): ("mean 0.026 ± 0.006", None),
     ("gaussian", "besiii-idc-boss", "proton", 0.35, 0.8, "kappa"): ("width 0.962 ± 0.004: error too large", 0.035),
     ("default", "besiii-idc-boss", "pi-", 0.1, 0.8, "dz"): ("width 1.105 ± 0.006: error too small", 0.1),
@@ -169,7 +170,7 @@ def off_in(results: FitResults, mode: str) -> list[fit.Pull]:
     [pytest.param(place, allowed, marks=pytest.mark.xfail(strict=True, reason=reason))
      for place, (reason, allowed) in BEYOND.items()],
 )  # fmt: skip
-def test_pulls_in_inner_drift_chambers_agree(
+def test_pulls_that_are_known_to_be_off_agree(
     place: tuple[str, str, str, float, float, str], allowed: float | None
 ) -> None:
     (row,) = [row for row in FitResults.of(fit.PAGE.read()).pulls if place_of(row) == place]
@@ -188,11 +189,10 @@ def test_fit_holds_the_whole_grid_and_agrees() -> None:
     assert {row.parameter for row in results.pulls} == {*optimal.QUANTITIES}
     off = off_in(results, "gaussian")
     assert all(slowness(row) < 0.25 and row.cos_theta >= 0.5 for row in off)
-    # p, which joined the pulls last, has a bias of its own in four rows of 35000 tracks and more.
+    # p, which joined the pulls last, has a bias of its own in three rows of 35000 tracks and more.
     momenta = {(row.detector, row.particle, row.p) for row in off if row.parameter == "p"}
     assert momenta <= {
-        ("besiii-cgem-design", "pi+", 0.1), ("besiii-cgem-design", "pi+", 0.2),
-        ("besiii-cgem", "pi+", 0.1), ("besiii-cgem", "proton", 0.35),
+        ("besiii-cgem-design", "pi+", 0.2), ("besiii-cgem", "pi+", 0.1), ("besiii-cgem", "proton", 0.35)
     }  # fmt: skip
     off = [row for row in off if row.parameter != "p"]
     assert {row.parameter for row in off} <= {"kappa", "dz", "tanl"}

@@ -2,9 +2,8 @@
 //
 // Core widths of scattering and straggling are not additive: the sum changes if a slab is cut in two. The
 // core of a slab is therefore that of all matter that acts on the same parameters, so that the result does
-// not depend on how matter is cut. All energy losses act on kappa. Which scatters act together, each slab
-// knows
-// (`Slab::acting`).
+// not depend on how matter is cut. All energy losses act on kappa. `Slab::acting` says which scatters act
+// together.
 #pragma once
 
 #include <algorithm>
