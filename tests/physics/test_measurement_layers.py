@@ -148,7 +148,6 @@ GAUSSIAN = ("besiii-pixel", "stcf-like", "kloe2-like")
 #: One track in a thousand is on the wrong side of many wires, or lacks a hit of the pixels: half of the central 68 %
 #: instead of the RMS.
 CORES = ("besiii-pixel", "kloe2-like")
-LOST = pytest.mark.xfail(strict=True, reason="one of 8000 tracks loses the inner hits and has an error of d_z of 4 mm")
 #: The fit reports tracks of `kloe2-like` that lose most of their wires (`hits_left_out`).
 LEAST = {"kloe2-like": 0.997}
 
@@ -170,10 +169,8 @@ def barrel_tracks(name: str, p: float, cos_theta: float, n: int = 8000) -> cg.Ta
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "p", "cos_theta"),
-    [pytest.param(n, p, c, marks=[LOST] * ((n, p, c) == ("cepc-like", 1.0, -0.7)))
-     for n, (ps, cs) in BARRELS.items() for p in ps for c in cs],
-)  # fmt: skip
+    ("name", "p", "cos_theta"), [(n, p, c) for n, (ps, cs) in BARRELS.items() for p in ps for c in cs]
+)
 def test_barrels_of_other_experiments(name: str, p: float, cos_theta: float) -> None:
     """Presets with the finder: every track, unit pulls, expected resolutions."""
     tracks = barrel_tracks(name, p, cos_theta)
