@@ -429,9 +429,10 @@ _KAPPA = 9  # its variance among those of the upper triangle of a covariance
 def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
     """Return the expected covariance of a muon of 1 GeV/c across the beam, None where it cannot be fitted."""
     one, none = np.ones(1), np.zeros(1)
-    # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs.
+    # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs. Compiled detectors are
+    # kept: with the scalar kernels they are the same whichever instruction set was in use when they were made.
     found = _core.covariances(
-        core, phi=0.1 * one, kappa=-one, tanl=none, mass=_MUON * one, scatters=none, samples=1,
+        core, phi=0.1 * one, kappa=-one, tanl=none, mass=_MUON * one, scatters=none, samples=1, scalar=True,
         phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
         model={
             "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,

@@ -52,7 +52,7 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                          const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
                          std::size_t samples, const Array<double>& phases, const Array<double>& efficiencies,
                          const py::dict& model_values, bool budget, bool hits,
-                         const std::vector<const Detector*>& variants) {
+                         const std::vector<const Detector*>& variants, bool scalar) {
   const HitModel model = hit_model(model_values);
   const auto n = phi.size();
   const auto views = static_cast<py::ssize_t>(2 * detector.layers.size());
@@ -88,9 +88,10 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
   static_assert(sizeof(BudgetTerm) == budget_entries * sizeof(double));
   {
     py::gil_scoped_release release;
-    kernels().covariances(detector, input, model,
-                          {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr,
-                           hits ? &expected : nullptr});
+    const Kernels& used = scalar ? scalar_kernels() : kernels();
+    used.covariances(detector, input, model,
+                     {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr,
+                      hits ? &expected : nullptr});
   }
   RowColumns<CovarianceRow> of_track(rows.size());
   of_track.add("covariance", &CovarianceRow::covariance, {static_cast<py::ssize_t>(covariance_entries)})
@@ -119,9 +120,10 @@ void bind_covariance(py::module_& module) {
       py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),
       py::arg_v("efficiencies", Array<double>(0), "..."), py::arg("model"), py::arg("budget"),
       py::arg("hits") = false, py::arg("variants") = std::vector<const Detector*>(),
+      py::arg("scalar") = false,
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
       "expected hits of all tracks (X, V - k x, or signed distance from a wire, mm; variance, mm2). Rows of "
       "`variants` of the detector, which keep the hits of the first one, follow those of the detector. The "
-      "budget is that of the last one.");
+      "budget is that of the last one. `scalar`: with the scalar kernels, whichever are in use.");
 }

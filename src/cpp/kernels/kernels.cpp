@@ -21,6 +21,7 @@ std::atomic<const Kernels*> in_use{&scalar};
 }  // namespace
 
 const Kernels& kernels() { return *in_use.load(); }
+const Kernels& scalar_kernels() { return scalar; }
 
 bool processor_runs(const std::string& isa) {
   if (isa == "scalar" || isa == "baseline") return true;

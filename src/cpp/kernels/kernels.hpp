@@ -32,6 +32,9 @@ struct Kernels {
 // The kernels in use: scalar ones until others are opened.
 const Kernels& kernels();
 
+// The reference, whichever are in use: what is made with it is the same to the last bit.
+const Kernels& scalar_kernels();
+
 // Whether this processor can run code for "scalar", "baseline", "v3" (AVX2, FMA) or "v4" (AVX-512).
 bool processor_runs(const std::string& isa);
 

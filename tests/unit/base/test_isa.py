@@ -1,6 +1,7 @@
 """Every instruction set gives the results of the plain scalar code, and choosing one works as documented."""
 
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers, _core, isa, load, run
+from cgemit.detector.core import MOST_MOMENTUM_ERROR, compiled, usual_momentum_error
 from cgemit.reconstruction.fit import core_arguments
 from cgemit.simulation.digitize import digitizer_of
 from fields import HARMONIC
@@ -110,6 +112,18 @@ def test_the_command_line_says_what_is_wrong_with_the_environment(value: str) ->
 def test_a_file_that_is_no_library_of_kernels() -> None:
     with pytest.raises(RuntimeError):
         _core.use_kernels(__file__)
+
+
+@pytest.mark.parametrize("name", ["besiii-cgem-design", "cepc-like"])  # the second has an error of momenta of its own
+def test_compiled_detectors_do_not_depend_on_the_instruction_set(name: str) -> None:
+    """They are kept, and a process that compiles a detector again must find the same bits."""
+    made = []
+    for which in isa.available():
+        isa.use(which)
+        copied = pickle.loads(pickle.dumps(load(name)))  # without what was compiled for it before
+        made.append((compiled(copied, gaps=False).acting.tobytes(), usual_momentum_error(copied)))
+    assert made == made[:1] * len(made)
+    assert name == "besiii-cgem-design" or made[0][1] < MOST_MOMENTUM_ERROR
 
 
 #: 0, and both sides of the end of the series, 0.0316.
