@@ -36,6 +36,19 @@ class SettingsData:
     def contradictions(self, problems: Problems) -> None:
         """Note values that do not go together; also called where values are wrong by themselves."""
 
+    @classmethod
+    def of(cls, given: Self | None, name: str = "settings") -> Self:
+        """Return the settings that a function was given as its argument `name`, the defaults for None.
+
+        Raises
+        ------
+        TypeError
+            If they are something else.
+        """
+        if not isinstance(given, cls | None):
+            raise TypeError(f"{name}: got {type(given).__name__}, expected {cls.__name__}")
+        return cls() if given is None else given
+
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as nested dict of what JSON can hold: all of them, None as None."""
         return {name: _plain(getattr(self, name), kind) for name, kind in kinds_of(type(self)).items()}

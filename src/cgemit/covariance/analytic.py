@@ -188,9 +188,7 @@ def analytic(
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
     [306. 167.] [0.84 4.67]
     """
-    detector, fit = load(detector), _FIT if fit is None else fit
-    if not isinstance(fit, FitSettings):
-        raise TypeError(f"fit: got {fit!r:.60}, expected FitSettings or None")
+    detector, fit = load(detector), _FIT if fit is None else FitSettings.of(fit, "fit")
     if threads is not None and not is_whole(threads, 1, 2**15):
         raise ValueError(f"threads: got {threads!r:.60}, expected a whole number from 1 to {2**15}")
     digitize = DigitizeSettings(readout=readout, reveal_sides=reveal_sides)

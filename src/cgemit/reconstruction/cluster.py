@@ -133,8 +133,8 @@ def cluster(
     Raises
     ------
     TypeError, ValueError
-        If a digi is not in the detector, there is no such readout, or a clusterer from outside the package makes
-        anything but clusters of the same events.
+        If the settings are something else, a digi is not in the detector, there is no such readout, or a clusterer from
+        outside the package makes anything but clusters of the same events.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def cluster(
     >>> len(clusters) == len(r.clusters), np.unique(clusters["view"]).tolist()
     (True, [0, 1, 2])
     """
-    clusterer, detector, settings = clusterer_of(readout), load(detector), settings or ClusterSettings()
+    clusterer, detector, settings = clusterer_of(readout), load(detector), ClusterSettings.of(settings)
 
     def of_readout(alone: Detector, digis: Table, directions: Floats | None) -> Table:
         found = clusterer.cluster(alone, digis, settings, directions)

@@ -230,9 +230,7 @@ def fit(
     >>> print(tracks["p"].round(1), [cg.FitStatus(status).name for status in tracks["status"][:1]])
     [1. 1. 1. 1. 1.] ['ok']
     """
-    detector, settings = load(detector), FitSettings() if settings is None else settings
-    if not isinstance(settings, FitSettings):
-        raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
+    detector, settings = load(detector), FitSettings.of(settings)
     core = _compiled(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()

@@ -327,7 +327,7 @@ def fit_hits(
         assert tables is not None
         return tables
 
-    finder, how = candidates if callable(candidates) else given, refine or RefineSettings()
+    finder, how = candidates if callable(candidates) else given, RefineSettings.of(refine, "refine")
     made = reconstruct(
         detector, *hits, finder, settings, refinements=refinements(how), find_again=how.find_again and tables is None
     )

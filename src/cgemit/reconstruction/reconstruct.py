@@ -69,9 +69,7 @@ def reconstruct(
     [6, 6, 6, 6, 6]
     """
     tables: dict[str, Table] = {}
-    measured, settings = Hits(clusters, wire_hits, digis), FitSettings() if settings is None else settings
-    if not isinstance(settings, FitSettings):
-        raise TypeError(f"settings: got {type(settings).__name__}, expected FitSettings")
+    measured, settings = Hits(clusters, wire_hits, digis), FitSettings.of(settings)
     for _, made in turns(load(detector), measured, finder, settings, refinements, find_again=find_again):
         tables |= made
     return tables

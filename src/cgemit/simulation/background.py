@@ -150,6 +150,8 @@ def add_background(
 
     Raises
     ------
+    TypeError
+        If the settings are something else.
     ValueError
         If the detector has no such level, or the mixed events are of another detector.
 
@@ -160,7 +162,7 @@ def add_background(
     >>> len(noisy["wire_hits"]) > 5 * len(r.wire_hits)
     True
     """
-    level = level_of(detector, settings)
+    level = level_of(detector, BackgroundSettings.of(settings))
     if settings.events:
         mixed = mix_events(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
         digis, wire_hits = mixed["digis"], mixed["wire_hits"]

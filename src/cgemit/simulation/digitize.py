@@ -197,9 +197,10 @@ def digitize(
     Raises
     ------
     TypeError, ValueError
-        If a layer or wire is not in the detector, a value is not finite, a step does not belong to its truth or has
-        invalid values, raw drift times are asked for and the detector does not say how signals run along its wires, or
-        a digitizer from outside the package makes anything but digis of the same events.
+        If the settings are something else, a layer or wire is not in the detector, a value is not finite, a step does
+        not belong to its truth or has invalid values, raw drift times are asked for and the detector does not say how
+        signals run along its wires, or a digitizer from outside the package makes anything but digis of the same
+        events.
 
     Examples
     --------
@@ -208,7 +209,7 @@ def digitize(
     >>> len(tables["wire_hits"]) == len(r.wire_truths), bool((tables["digis"]["charge"] > 0).all())
     (True, True)
     """
-    detector, settings = load(detector), settings or DigitizeSettings()
+    detector, settings = load(detector), DigitizeSettings.of(settings)
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     truths, steps = in_layer_axes(detector, truths, steps)

@@ -110,6 +110,8 @@ def simulate(
 
     Raises
     ------
+    TypeError
+        If the settings are something else.
     ParticleError
         Listing every problem of the particles.
 
@@ -120,8 +122,9 @@ def simulate(
     >>> sorted(tables), np.bincount(tables["truths"]["layer"]).tolist()
     (['decays', 'particles', 'steps', 'truths', 'wire_truths'], [5, 5, 5])
     """
+    settings = SimulateSettings.of(settings)
     check_particles(particles)
-    return transport(load(detector), particles, settings or SimulateSettings(), seed)
+    return transport(load(detector), particles, settings, seed)
 
 
 def transport(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Table]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
@@ -11,6 +12,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 import pytest
 
+import cgemit as cg
 from cgemit.base.settings import SettingsData, SettingsError
 from cgemit.base.validate import NO, Positive, expected, kinds_of, matcher, one_of
 from cgemit.chain.settings import Settings
@@ -234,3 +236,30 @@ def test_every_field_has_a_default_and_words_for_what_it_may_be(cls: type[Settin
         assert expected(kind)
         with pytest.raises(SettingsError, match=f"^{cls.__name__}: 1 problem\n  {name}: got "):
             dataclasses.replace(settings, **{name: object()})
+
+
+@pytest.mark.parametrize("given", [5, {"residuals": True}, Settings()], ids=["number", "mapping", "all stages"])
+def test_functions_refuse_settings_of_another_kind(given: Any) -> None:
+    """With the name of the argument and the kind that it takes, before anything is computed."""
+    made = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=1)
+    detector, hits = made.detector, (made.clusters, made.wire_hits)
+    calls: dict[str, Callable[[], Any]] = {
+        "settings: got {}, expected SimulateSettings": lambda: cg.simulate(detector, made.particles, given),
+        "settings: got {}, expected DigitizeSettings": lambda: cg.digitize(
+            detector, made.truths, made.wire_truths, given
+        ),
+        "settings: got {}, expected BackgroundSettings": lambda: cg.add_background(
+            detector, made.digis, made.wire_hits, given, seed=1
+        ),
+        "settings: got {}, expected ClusterSettings": lambda: cg.cluster(detector, made.digis, given),
+        "settings: got {}, expected FindSettings": lambda: cg.find_tracks(detector, *hits, given),
+        "settings: got {}, expected FitSettings": lambda: cg.fit(
+            detector, *hits, made.candidates, made.candidate_hits, given
+        ),
+        "refine: got {}, expected RefineSettings": lambda: cg.fit_hits(detector, *hits, refine=given),
+        "fit: got {}, expected FitSettings": lambda: cg.analytic(detector, "mu-", p=1.0, fit=given),
+    }
+    for message, call in calls.items():
+        with pytest.raises(TypeError) as error:
+            call()
+        assert str(error.value) == message.format(type(given).__name__)

@@ -154,9 +154,7 @@ def find_tracks(
     >>> found["candidates"]["event"].tolist()
     [0, 1, 2, 3, 4]
     """
-    detector, settings = load(detector), FindSettings() if settings is None else settings
-    if not isinstance(settings, FindSettings):
-        raise TypeError(f"settings: got {type(settings).__name__}, expected FindSettings")
+    detector, settings = load(detector), FindSettings.of(settings)
     problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
     if not problems and not clusters.covers_as(wire_hits):
         problems = ["wire_hits: cover other events than the clusters; expected the same"]
