@@ -110,7 +110,7 @@ def cluster_residuals(result: Result) -> ClusterResiduals:
 
 @dataclass(frozen=True)
 class Geant4Run:
-    """X residual of the same sample in Geant4 (`data/geant4_x_residual.toml`).
+    """X residual of the same sample in Geant4 (`geant4_x_residual.toml`).
 
     Attributes
     ----------

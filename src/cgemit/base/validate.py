@@ -15,10 +15,8 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from typing import (
     Annotated,
     Any,
-    ClassVar,
     Literal,
     NamedTuple,
-    Protocol,
     TypeVar,
     Union,
     get_args,
@@ -225,12 +223,6 @@ class Check(NamedTuple):
 
 Positive = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive number")]
 NotNegative = Annotated[float, Check(lambda value: 0 <= value < math.inf, "zero or a positive number")]
-
-
-class Named(Protocol):
-    """A class of settings that is one of several choices, told apart by its name."""
-
-    name: ClassVar[str]
 
 
 class Choice(NamedTuple):

@@ -37,7 +37,7 @@ EVEN_DENSITY = 0.5  # g/cm3: neither gas nor foam
 
 
 class Ionization(NamedTuple):
-    """Primary ionization of a gas, as in ``data/gases``."""
+    """Primary ionization of a gas, as in ``gases``."""
 
     electron_density: float  # mol/cm3, density times Z/A
     w_value: float  # keV per electron
@@ -49,12 +49,12 @@ class Ionization(NamedTuple):
 
 @cache
 def ionization(name: str) -> Ionization:
-    """Return a table of ``data/gases`` by name."""
+    """Return a table of ``gases`` by name."""
     text = (resources.files("cgemit.detector") / "gases" / f"{name}.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     single = {row["quantity"]: float(row["value"]) for row in rows if not row["at"]}
     if "w_value" not in single:
-        raise ValueError(f"data/gases/{name}.csv: got no w_value, expected the mean energy per electron in eV")
+        raise ValueError(f"gases/{name}.csv: got no w_value, expected the mean energy per electron in eV")
     columns = {}
     for quantity in ("clusters", "size", "more_than"):
         found = [(float(row["at"]), float(row["value"])) for row in rows if row["quantity"] == quantity]

@@ -17,7 +17,7 @@ from cgemit.detector.keys import Part, key
 
 FINE_STRUCTURE = 1 / 137.035999084
 K = 0.307075e-3  # GeV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024, "Passage of particles through matter")
-GAS_TABLES = ("ar-ic4h10-90-10", "ar-co2-70-30")  # of data/gases
+GAS_TABLES = ("ar-ic4h10-90-10", "ar-co2-70-30")  # of `gases`
 CARBON_IN_COMPOUNDS = 81.0  # eV, mean excitation energy (ICRU Report 37)
 
 

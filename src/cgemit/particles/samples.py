@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +18,6 @@ from cgemit.particles.gun import Guns, Source
 from cgemit.particles.species import species
 from cgemit.particles.table import FARTHEST, FASTEST, ParticleError
 from cgemit.tables.schema import Array
-
-if TYPE_CHECKING:
-    from cgemit.detector import Detector
-
 
 Floats = npt.NDArray[np.float64]
 

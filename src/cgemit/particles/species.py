@@ -42,7 +42,7 @@ class Species:
 
 
 def _species() -> dict[int, Species]:
-    """Read ``data/particles.csv``, which ``tools/make_particles.py`` writes."""
+    """Read ``particles.csv``, which ``tools/make_particles.py`` writes."""
     text = (resources.files("cgemit.particles") / "particles.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return {
@@ -149,7 +149,7 @@ class DecayMode:
 
 
 def _modes() -> dict[int, tuple[DecayMode, ...]]:
-    """Read ``data/decays.csv``; both charges of each particle."""
+    """Read ``decays.csv``; both charges of each particle."""
     text = (resources.files("cgemit.particles") / "decays.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     found: dict[int, tuple[DecayMode, ...]] = {}
@@ -218,5 +218,5 @@ def decay_table(decays: Mapping[int, tuple[DecayMode, ...]], lifetimes: Mapping[
 
 @lru_cache(maxsize=1)
 def compiled_decays() -> _core.DecayTable:
-    """Return `DECAYS`, with the lifetimes of ``data/particles.csv``, for the compiled simulation."""
+    """Return `DECAYS`, with the lifetimes of ``particles.csv``, for the compiled simulation."""
     return decay_table(DECAYS, {pdg: KNOWN[pdg].lifetime for pdg in DECAYS})

@@ -33,7 +33,7 @@ class PaperValue:
 
 @cache
 def paper_values() -> Mapping[str, PaperValue]:
-    """Return the quantities of arXiv:1504.02570 by result id (`data/paper_values.toml`)."""
+    """Return the quantities of arXiv:1504.02570 by result id (`paper_values.toml`)."""
     text = resources.files("cgemit.study.paper").joinpath("paper_values.toml").read_text(encoding="utf-8")
     return {name: PaperValue(**entry) for name, entry in tomllib.loads(text).items()}
 
