@@ -260,6 +260,25 @@ def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
                 expected = f"more than the {inner.radius_at(z):g} mm of layer {inner.number} there"
                 problems.append(Problem(f"drift_chamber.layers.{outer.number}", given, expected))
                 break
+    return problems + _error_problems(_sound_layers(chamber))
+
+
+def _error_problems(wires: list[WireLayer]) -> list[Problem]:
+    """Return the layers whose error of the drift distance is not positive in all of their cells."""
+    problems = []
+    for i, wire in enumerate(wires):
+        if wire.sigma_slope >= 0:
+            continue
+        # Tracks pass at most as far from the wire as an outer corner of its cell, midway to the next layer.
+        others = (*wires[max(i - 1, 0) : i], *wires[i + 1 : i + 2])
+        apart = [abs(one.radius_at(z) - wire.radius_at(z)) for one in others for z in (0.0, wire.half_length)]
+        height = 0.5 * max(apart, default=2 * math.pi * wire.r_end / wire.cells)
+        farthest = math.hypot(math.pi * (wire.r_end + height) / wire.cells, height)
+        error = wire.sigma + wire.sigma_slope * farthest
+        if error <= 0:
+            given = f"an error of {error:g} mm at {farthest:.3g} mm"
+            path = f"drift_chamber.layers.{wire.number}.sigma_slope"
+            problems.append(Problem(path, given, "a positive error over the whole cell"))
     return problems
 
 
@@ -281,10 +300,6 @@ def _wire_problems(wire: WireLayer) -> list[Problem]:
     if abs(wire.twist) > math.pi / 2:
         given = f"{wire.twist_cells:g} cells of {wire.cells}"
         problems.append(Problem(f"{path}.twist_cells", given, "at most a quarter turn"))
-    farthest = math.pi * wire.r_end / wire.cells
-    if wire.sigma + wire.sigma_slope * farthest <= 0:
-        given = f"an error of {wire.sigma + wire.sigma_slope * farthest:g} mm at {farthest:.3g} mm"
-        problems.append(Problem(f"{path}.sigma_slope", given, "a positive error over the whole cell"))
     return problems
 
 

@@ -124,6 +124,8 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
         ({"drift_chamber": {"layers": {"9": {"sigma_slope": -0.05}}}}, "drift_chamber.layers.9.sigma_slope", "-0.05"),
         ({"drift_chamber": {"layers": {"9": {"sigma_slope": "-50 um/mm"}}}}, "drift_chamber.layers.9.sigma_slope",
          "an error of"),
+        ({"drift_chamber": {"layers": {"9": {"sigma_slope": "-12 um/mm"}}}}, "drift_chamber.layers.9.sigma_slope",
+         "an error of -0.0180137 mm at 12.3 mm"),  # in an outer corner, not at 8.8 mm
         ({"cgem": {"L1": {"gas": "Kapton"}}}, "cgem.L1.gas", '"Kapton", which is no gas'),
         ({"drift_chamber": {"gas": "Al"}}, "drift_chamber.gas", '"Al", which is no gas'),
         ({"field": {"bz": "0 T"}}, "field.bz", "0 T"),

@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 
 import gem_toy
 from cgemit import _core
+from cgemit.chain.run import run
 from cgemit.detector import compiled, gas, load
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME
 from cgemit.detector.readouts import BinaryReadout, GaussianReadout
+from cgemit.particles.gun import Gun
 from cgemit.reconstruction.cluster import cluster
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.tables import Table
@@ -309,6 +311,24 @@ def test_error_of_a_hit_is_that_at_its_drift_distance():
     detector = gem_toy.core_detector(wires=gem_toy.wire_layers(sigma=0.2, sigma_slope=0.03))
     hits = wire_hits(detector, gem_toy.wire_truth_columns(np.arange(100), 11, 4, np.linspace(-5, 5, 100)))
     np.testing.assert_allclose(hits["sigma"], 0.2 + 0.03 * np.maximum(hits["drift"], 0))
+
+
+def test_the_steepest_slope_that_a_file_may_have_gives_errors_above_zero():
+    """Tracks reach the corners of the cells, where the error of this file is 0.1 um."""
+
+    def slanting(error_in_corner):
+        height = 0.5 * (229.55 - 213.0)
+        slope = (error_in_corner - 0.13) / np.hypot(np.pi * (213.0 + height) / 76, height)
+        layers = {"9": {"sigma_slope": f"{slope:.12f} mm/mm"}}
+        return load({"base": "besiii-cgem", "drift_chamber": {"layers": layers}})
+
+    made = run(slanting(1e-4), Gun("mu-", pt=(0.03, 0.06), cos_theta=(-0.9, 0.9)), 3000, seed=1, until="digitize")
+    ninth = made.wire_truths["layer"] == 9
+    assert np.abs(made.wire_truths["doca"][ninth]).max() > 12.1
+    sigma = made.wire_hits["sigma"][made.wire_hits["layer"] == 9]
+    assert 0 < sigma.min() < 0.01
+    with pytest.raises(ValueError, match=r"an error of -0\.0001 mm at 12\.3 mm"):
+        slanting(-1e-4)
 
 
 def test_efficiency():
