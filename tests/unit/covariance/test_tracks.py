@@ -604,7 +604,7 @@ def test_empty_and_wrong_numbers_are_refused(name: str) -> None:
     [
         ({"samples": 1_000_000}, "samples: got 1000000, expected a whole number from 1 to 65536"),
         ({"threads": 0}, "threads: got 0"),
-        ({"fit": 5}, "fit: got 5"),
+        ({"fit": 5}, "^fit: got int, expected FitSettings$"),
         ({"particle": []}, "particle: got"),
     ],
 )
