@@ -97,6 +97,14 @@ def test_thin_gaps_lose_hits_as_in_the_simulation(gap: float, threshold: float) 
 RADII = (20.0, 32.5, 78.84, 121.0, 171.0, 500.0, 900.0)
 
 
+def test_text_names_the_status_of_points_without_a_covariance() -> None:
+    found = cg.analytic(DESIGN, "mu-", [0.03, 1.0], 0.0, samples=2)
+    assert found.status.tolist() == [cg.FitStatus.stopped, 0]
+    _, stopped, good = repr(found).splitlines()
+    assert stopped.endswith("sigma(p) nan MeV/c [stopped]")
+    assert good.endswith(f"sigma(p) {found.sigma_p[1]:.4g} MeV/c>")
+
+
 @pytest.mark.parametrize("field", [None, HARMONIC])
 def test_covariance_at_a_radius_is_that_of_the_states_of_the_fit(field: object) -> None:
     """States of fits of hits on one track, with their own variances, at the same cylinders."""

@@ -113,6 +113,15 @@ def test_a_material_of_bulk_properties_has_an_equivalent_element(tmp_path: Path)
     assert tube[-1] == (100.0, pytest.approx(100.0, rel=0.05))
 
 
+def test_description_of_a_layer_has_the_numbers_of_its_file() -> None:
+    changes = {"cgem.L2.pitch_x": "500 um", "cgem.L2.pitch_v": "800 um", "cgem.L2.hole_pitch": "130 um"}
+    rows = describe(cg.load("besiii-cgem-design").with_overrides(changes))["cgem"]
+    assert [(row["layer"], row["pitch_x_um"], row["pitch_v_um"]) for row in rows] == [
+        ("L1", 650, 650), ("L2", 500, 800), ("L3", 650, 650),
+    ]  # fmt: skip
+    assert rows[1]["hole_pitch_um"] == pytest.approx(130)
+
+
 def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
     detector = cg.load("besiii-idc")
     detector.to_gdml(tmp_path / "one.gdml")

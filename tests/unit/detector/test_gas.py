@@ -21,6 +21,7 @@ from cgemit.detector.gas import (
     drift_columns,
     elastic,
     electron_energies,
+    enough_electrons,
     gap_columns,
     ionization,
     layer_drift,
@@ -99,6 +100,21 @@ def test_numbers_of_electrons_of_equal_parts(mean: float) -> None:
     below = np.searchsorted(np.sort(electrons), np.arange(500), side="right") / len(electrons)
     found = cluster_shares("").quantiles(mean)
     np.testing.assert_allclose(np.interp(found, np.arange(500), below), (np.arange(8) + 0.5) / 8, atol=0.008)
+
+
+def test_probability_of_enough_electrons_by_convolution() -> None:
+    """Sum over Poisson numbers of ionizations of the convolved distribution of their sizes."""
+    table, means = ionization("ar-ic4h10-90-10"), np.array([[0.5, 4.0], [9.0, 20.0]])
+    single = np.append(0.0, np.diff(table.sizes[:12], prepend=0.0))
+    below, sizes = np.zeros_like(means), np.array([1.0])
+    for number in range(12):  # more ionizations have 12 electrons or more
+        fewer = means**number / math.factorial(number) * np.exp(-means)
+        below += fewer * sizes[:12].sum()
+        sizes = np.convolve(sizes, single)[:13]
+    gas = DETECTOR.cgem[0].gas
+    np.testing.assert_allclose(enough_electrons(gas, means, 12), 1 - below, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(enough_electrons(gas, means, 0), 1)
+    np.testing.assert_allclose(enough_electrons(gas, means, 1), 1 - np.exp(-means), rtol=0, atol=1e-12)
 
 
 def test_sizes_are_those_of_the_table() -> None:

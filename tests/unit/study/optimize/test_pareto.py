@@ -137,6 +137,17 @@ def test_each_call_and_each_seed_draws_other_designs(monkeypatch: pytest.MonkeyP
     assert len(seeds) == len(set(seeds)) >= 6
 
 
+def test_progress_is_the_share_of_the_calls() -> None:
+    """The random designs and each of the three calls are a quarter."""
+    told: list[tuple[float, str]] = []
+    few = Search(method="nsga2", population=4, offspring=2, calls=3)
+    space = {"cgem.*.pitch_x": ("400 um", "900 um")}
+    how: dict[str, Any] = {"evaluate": Evaluation(samples=2), "search": few}
+    optimize(DESIGN, space, minimize=["channels", "area"], **how, progress=lambda *one: told.append(one))
+    evolution = [(share, text) for share, text in told if text.startswith("optimize, ")]
+    assert evolution == [(0.25 * (i + 1), f"optimize, {4 + 2 * i} designs") for i in range(4)]
+
+
 def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimization, Path], tmp_path: Path) -> None:
     _, whole = found
     optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(2))
