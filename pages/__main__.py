@@ -39,7 +39,7 @@ from pages import (
     track_fit,
     vertex,
 )
-from pages.page import DATA, IMAGES, ROOT, Page, markers
+from pages.page import DATA, IMAGES, ROOT, Page, markers, torn_lines
 
 PAGES: dict[str, Page] = {
     page.name: page
@@ -75,14 +75,18 @@ PAGES: dict[str, Page] = {
 
 
 def problems() -> list[str]:
-    """Return where pages differ from their stored numbers, and blocks of these pages that nothing writes."""
+    """Return where pages differ from stored numbers, blocks that nothing writes, and paragraphs that markers tear."""
     wrong, written = [], {page.file: set[str]() for page in PAGES.values()}
     for page in PAGES.values():
         wrong += page.problems()
         written[page.file] |= page.blocks(page.read()).keys()
     for file, names in written.items():
-        unknown = set(markers((ROOT / file).read_text(encoding="utf-8"))) - names
-        wrong += [f"{file}: no page writes the block {name}" for name in sorted(unknown)]
+        text = (ROOT / file).read_text(encoding="utf-8")
+        wrong += [f"{file}: no page writes the block {name}" for name in sorted(set(markers(text)) - names)]
+        wrong += [
+            f"{file}: line {line} begins with <!--, which ends its paragraph: put a word in front of it"
+            for line in torn_lines(text)
+        ]
     return wrong
 
 

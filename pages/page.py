@@ -153,6 +153,14 @@ def markers(text: str) -> list[str]:
     return re.findall(r"<!-- (?!end )([\w+-]+) -->", text)
 
 
+def torn_lines(text: str) -> list[int]:
+    """Return the numbers of lines that begin with a marker and go on with text.
+
+    In CommonMark, `<!--` at the beginning of a line ends the paragraph, and the line's text is not part of one.
+    """
+    return [i for i, line in enumerate(text.splitlines(), 1) if re.match(r"\s*<!--.*?-->\s*\S", line)]
+
+
 def sample(numbers: Numbers) -> str:
     """Return what was run, and with which version."""
     return f"{numbers.about['events']}, {numbers.about['versions'].partition(',')[0]}"

@@ -73,8 +73,11 @@ def resolutions(found: Found) -> Figure:
 def blocks(found: Found) -> dict[str, str]:
     """Return the numbers of the table, from the numbers on file of other pages."""
     slabs = [row for row in geant4.PAGE.read()["slabs"].rows if row.gated]
-    fits = [row for row in performance.PAGE.read()["peers"].rows if row.what.startswith("fit, smoother")]
+    peers = performance.PAGE.read()
+    fits = [row for row in peers["peers"].rows if row.what.startswith("the same with tables")]
     faster = [row.acts_us / row.us for row in fits if row.case.startswith("1 GeV")]
+    found_by = sorted(peers["peers_finding"].rows, key=lambda row: row.tracks)
+    finding = [(row.acts_seeding_us + row.acts_ckf_us) / (row.find_us + row.fit_us) for row in found_by]
     ratios = [row.ratio for row in covariance.PAGE.read()["ratios"].rows]
     study = {row.id: row for row in paper.PAGE.read()["study"].rows}
     cgem, idc = (cg.analytic(name, "mu-", p=MOMENTA, cos_theta=ANGLES) for name in DETECTORS)
@@ -82,7 +85,8 @@ def blocks(found: Found) -> dict[str, str]:
     return {
         "angle": span([row.value / row.reference for row in slabs if row.quantity == "q68_mrad"]),
         "loss": span([row.value / row.reference for row in slabs if row.quantity == "loss_kev_q50"]),
-        "speed": f"{min(faster):.0f} to {max(faster):.0f}",
+        "speed": f"{min(faster):.1f} to {max(faster):.1f}",
+        "speed-finding": f"{finding[0]:.1f} to {finding[-1]:.1f}",
         "ratios": span(np.percentile(ratios, [2.5, 97.5]).tolist()),
         "points": f"{len(ratios)}",
         "better-dz": span((idc.sigma_dz / cgem.sigma_dz).tolist()),

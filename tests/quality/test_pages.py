@@ -26,7 +26,7 @@ from cgemit.tables.show import with_error
 from pages import alignment, background, covariance, deltas, fit, geant4, optimal, paper, readout, settings
 from pages.__main__ import PAGES, main, problems
 from pages.fit import FitResults
-from pages.page import DATA, ROOT, Numbers, Page, put, read_numbers, write_numbers
+from pages.page import DATA, ROOT, Numbers, Page, put, read_numbers, torn_lines, write_numbers
 
 
 @pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
@@ -54,6 +54,14 @@ def test_constants_of_errors_without_events_are_those_of_the_core() -> None:
 
 def test_nothing_is_between_markers_that_no_page_writes() -> None:
     assert not problems()
+
+
+def test_lines_that_begin_with_a_marker_and_go_on_are_found() -> None:
+    """`<!-- n -->1<!-- end --> times` at the beginning of a line ends the paragraph above it."""
+    text = "is <!-- n -->1<!-- end --> as\n<!-- n -->1<!-- end --> as\n<!-- t -->\n| a |\n<!-- end -->\n  <!-- n --> 2"
+    assert torn_lines(text) == [2, 6]
+    for file in [ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")]:
+        assert not torn_lines(file.read_text(encoding="utf-8")), file
 
 
 def test_files_of_numbers_are_those_of_the_pages_and_read_back_the_same(tmp_path: Path) -> None:
