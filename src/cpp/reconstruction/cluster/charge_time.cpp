@@ -22,7 +22,9 @@ double weight_of(const StripPoint& point, double mean) { return 1 / (1 + mean / 
 
 }  // namespace
 
-double DelayTable::at(std::size_t plane, double spread, double charge) const {
+double DelayTable::at(int view, std::size_t layer, double spread, double charge) const {
+  const std::size_t layers = charges.size() / points / 2,
+                    plane = static_cast<std::size_t>(view) * layers + layer;
   const std::span<const double> q = charges.subspan(plane * points, points);
   std::size_t below = 0;
   double share = 0;
@@ -81,8 +83,8 @@ class ChargeTimeClusters {
     const auto number = static_cast<std::size_t>(digis_.layer[row]);
     const LayerTiming& timing = model_.layers[number];
     const double charge = std::max(digis_.charge[row], least_charge),
-                 drift = digis_.time[row] - timing.delay -
-                         model_.delays.at(2 * number + static_cast<std::size_t>(digis_.view[row]), 0, charge);
+                 drift =
+                     digis_.time[row] - timing.delay - model_.delays.at(digis_.view[row], number, 0, charge);
     const double longest = (layer.r_gap_out - layer.r_gap_in) / timing.velocity;
     return drift >= -model_.margin && drift <= longest + model_.margin;
   }

@@ -25,10 +25,10 @@ struct LayerTiming {
 struct DelayTable {
   std::span<const double> spreads;  // ns, growing from 0 in equal steps
   std::span<const double> charges;  // fC, growing; (2 layers, points)
-  std::span<const double> delays;   // ns; (2 layers, spreads, points)
+  std::span<const double> delays;   // ns; (2 layers, spreads, points); X of all layers, then V
   std::size_t points;
 
-  double at(std::size_t plane, double spread, double charge) const;
+  double at(int view, std::size_t layer, double spread, double charge) const;
 };
 
 struct ChargeTimeModel {

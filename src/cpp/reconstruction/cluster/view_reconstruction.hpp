@@ -89,8 +89,7 @@ class ViewReconstruction {
     const double start = half_gap() + seen * model_.errors.chip.height_by_threshold * lost;
     found.clear();
     for (const FiredStrip& strip : strips) {
-      const double delay = model_.delays.at(static_cast<std::size_t>(view_) * model_.layers.size() + number_,
-                                            seen / timing_.velocity, strip.measured);
+      const double delay = model_.delays.at(view_, number_, seen / timing_.velocity, strip.measured);
       const double height = model_.timed ? start - (strip.drift - delay) * timing_.velocity : 0;
       found.push_back({strip.position, strip.charge, height});
     }

@@ -366,6 +366,20 @@ def test_strips_of_particles_are_in_time():
     assert every["charge"].sum() == pytest.approx(result.clusters["charge"].sum(), rel=1e-3)
 
 
+def test_strips_are_in_time_in_layers_of_different_gaps():
+    """The chip's delay is that of the layer and view: it grows with the induction gap, here from 42 to 114 ns."""
+    design = LAYERS.with_overrides({"cgem.L2.drift_gap": "8 mm", "cgem.L3.induction_gap": "6 mm"})
+    result = cg.run(design, cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), 100, 3, readout=TIGER, until="cluster")
+    every = cluster(design, result.digis, readout=dataclasses.replace(TIGER, time_margin=1e6))
+    for layer, most_lost in enumerate((1e-3, 1e-3, 0.04)):  # signals of 6 mm last longer: 2 %
+        for view in (0, 1):
+            charge, all_charge = (
+                np.sum(found["charge"], where=(found["layer"] == layer) & (found["view"] == view))
+                for found in (result.clusters, every)
+            )
+            assert (1 - most_lost) * all_charge < charge <= all_charge
+
+
 BINS = np.array([-0.93, -0.75, -0.45, -0.15, 0.15, 0.45, 0.75, 0.93])
 READOUTS = {"tiger": TIGER, "apv25": cg.Apv25Readout(), "analog-projection": cg.ProjectionReadout()}
 
