@@ -23,10 +23,16 @@ from cgemit.base.version import PHYSICS
 
 FOLDER = Path(__file__).parent / "numbers"
 #: Hash of the files for the present physics version, and for those that were released.
-VERSIONS = {30: "7c0565b6401d5148"}
+VERSIONS = {30: "5c3c9b594e66b7ce"}
 DESIGN = "besiii-cgem-design"
 MUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
 DIMUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
+#: A sensor outside of the CGEM, in front of the wires.
+WRAPPED = {
+    "base": DESIGN,
+    "name": "wrapped",
+    "layer": {"W": {"radius": "182 mm", "length": "700 mm", "sigma": "50 um", "thickness": "0.3 mm", "material": "Si"}},
+}
 SPACE = {"cgem.L1.pitch_x": ("400 um", "1000 um"), "cgem.L2.anode_radius": ("120 mm", "150 mm")}
 
 
@@ -97,6 +103,12 @@ CASES: dict[str, Callable[[], dict[str, Any]]] = {
     "tiger-second-pass": lambda: run(readout=cg.TigerReadout(second_pass=True)),
     "analog-projection": lambda: run(readout="analog-projection"),
     "ckf-background": lambda: run(gun=DIMUONS, finder="ckf", n=10, stages={"background": {"level": "bes2009"}}),
+    "pixel-binary": lambda: run("besiii-pixel"),
+    "pixel-tiger2": lambda: run("besiii-pixel", readout=cg.TigerReadout(second_pass=True)),
+    "pixel-background-ckf": lambda: run(
+        "besiii-pixel", gun=DIMUONS, finder="ckf", n=10, stages={"background": {"level": "bes2009"}}
+    ),
+    "wrap-tiger2": lambda: run(WRAPPED, readout=cg.TigerReadout(second_pass=True)),
     "raw-times": lambda: run("besiii-cgem", finder="ckf", stages={"digitize": {"wire_times": "raw"}}),
     "start-time": lambda: run(
         gun=DIMUONS, finder="ckf", n=20, stages={"background": {"start_time": 5.0}, "refine": {"start_time": "fitted"}}
