@@ -10,6 +10,7 @@ from .base.errors import DetectorError as DetectorError
 from .base.progress import ProgressBar as ProgressBar
 from .base.version import __version__ as __version__
 from .chain.executor import Workers as Workers
+from .chain.match import MatchStatus as MatchStatus
 from .chain.match import match as match
 from .chain.result import Result as Result
 from .chain.result import open as open

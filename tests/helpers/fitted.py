@@ -16,6 +16,7 @@ def make_tracks(n=N, seed=1, **columns):
     """Return well fitted tracks whose pulls are standard normal and whose chi-square is right."""
     random = rng(seed)
     zeros = {c.name: np.zeros((n, *c.shape), c.dtype) for c in SCHEMAS["tracks"]}
+    zeros["match"] = np.zeros(n, np.int8)
     values = {"event": np.arange(n), "ndf": np.full(n, 20), "chi2": random.chisquare(20, n)}
     for name in PARAMETERS:
         values[f"pull_{name}"] = random.standard_normal(n)

@@ -120,7 +120,7 @@ def cosmics(given: Result | Table) -> Cosmics:
     truth = one_track = None
     if "truth_dr" in tracks:
         rows = np.concatenate([lower, upper])
-        known = np.isfinite(tracks["truth_dr"][rows])
+        known = np.isfinite(tracks["res_dr"][rows])
         truth = {name: _width(name, tracks[f"res_{name}"][rows][known]) for name in _NAMES}
         true = np.stack([tracks[f"truth_{name}"][lower] for name in helix.PARAMETERS], axis=1)
         fine = np.isfinite(true).all(axis=1)

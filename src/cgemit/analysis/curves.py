@@ -12,6 +12,7 @@ import numpy.typing as npt
 from cgemit.analysis.quantities import quantity_of
 from cgemit.analysis.resolutions import resolution
 from cgemit.analysis.widths import FEWEST, GaussianFit, Resolution
+from cgemit.chain.match import measuring
 from cgemit.tables import Table
 from cgemit.tables.show import shown, with_error
 
@@ -120,8 +121,8 @@ class Spectrum:
         ]
         if self.gaussian and not self.fit:
             lines += [self._line("mean", r.core_mean, r.core_mean_error), f"beyond 3 core widths: {100 * r.tail:.2f} %"]
-        not_fitted = sum(number for _, number in r.removed)
-        counts = ((not_fitted, "not fitted"), (r.outside, f"beyond {self.reach}"))
+        left_out = sum(number for _, number in r.removed)
+        counts = ((left_out, "left out"), (r.outside, f"beyond {self.reach}"))
         return [*lines, *(f"{name}: {number:,}" for number, name in counts if number), *self.extra]
 
     def _line(self, name: str, value: float, error: float) -> str:
@@ -157,7 +158,7 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
     if not widths.core > 0:
         raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least {FEWEST} for a resolution")
     known = quantity_of(parameter)
-    values = known.residual(tracks)[tracks["status"] == 0]
+    values = known.residual(tracks)[measuring(tracks)]
     edges = round_edges(*widths.window, bins)
     counts = histograms({"all": values}, edges)
     return Spectrum(f"{known.symbol}: fitted − true", known.unit, edges, counts, widths)

@@ -10,48 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import Fraction
+from cgemit.chain.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
 from cgemit.chain.result import Result
 from cgemit.chain.settings import finder_of
-from cgemit.detector import Detector
 from cgemit.detector.inventory import channels as strips
-from cgemit.detector.parts import pitches
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
+from cgemit.reconstruction.candidates import HIT_V, HIT_X
 from cgemit.reconstruction.find.loops import link_loops
-from cgemit.reconstruction.find.truth import own_clusters, particle_rows, residuals
+from cgemit.reconstruction.find.truth import own_clusters, particle_rows
 from cgemit.tables import Table
 from cgemit.tables.show import Shown
 
 Rows = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 Column = npt.NDArray[Any]
-
-
-class CandidateCounts(NamedTuple):
-    """Numbers of hits of each candidate; an XV cluster counts as two.
-
-    Attributes
-    ----------
-    particle : ndarray, (candidates,) int64
-        Row of the particle with the most hits, daughters of its decays included; -1 without hits of a particle.
-    hits : ndarray, (candidates,) int64
-        All its hits.
-    of_particle : ndarray, (candidates,) int64
-        Hits of that particle and of its daughters, with clusters that it shares.
-    of_daughters : ndarray, (candidates,) int64
-        Hits of its daughters.
-    of_loops : ndarray, (candidates,) int64
-        Hits that the particle itself left on later half turns.
-    found : ndarray, (candidates,) int64
-        Measurements of that particle itself on its first half turn: crossings of a gap, counted per view, and cells.
-        A cluster of several particles counts for the one with the most charge.
-    """
-
-    particle: Rows
-    hits: Rows
-    of_particle: Rows
-    of_daughters: Rows
-    of_loops: Rows
-    found: Rows
 
 
 class ParticleCounts(NamedTuple):
@@ -106,43 +77,6 @@ def count_particles(result: Result) -> ParticleCounts:
     )
 
 
-def count_candidates(result: Result) -> CandidateCounts:
-    """Return the hits of each candidate.
-
-    Parameters
-    ----------
-    result : Result
-    """
-    particles, clusters, wire_hits = result.particles, result.clusters, result.wire_hits
-    n, view, row = len(result.candidates), result.candidate_hits["view"], result.candidate_hits["row"]
-    candidate = result.candidate_hits["candidate"]
-    wire = view == HIT_WIRE
-    of_cluster = _origins(particles, result.truths).linked(clusters["truth"])
-    of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
-    place = row + np.where(wire, len(clusters), 0)
-    owner, late, looped = (np.concatenate(pair).take(place) for pair in zip(of_cluster, of_wire, strict=True))
-    weight = np.where(view == HIT_XV, 2, 1)
-    best = _most_common(owner, weight, candidate, n)
-    shared = _shared(result, np.flatnonzero(~wire), best)
-    own = ((owner >= 0) & (owner == best[candidate])) | shared
-
-    def total(which: Flags) -> Rows:
-        return np.bincount(candidate[which], weight[which], minlength=n).astype(np.int64)
-
-    # A crossing counts once per view, however many of its clusters the candidate has.
-    first = own & ~late & ~looped
-    strips = np.flatnonzero(first & ~shared & ~wire)
-    crossing = clusters["truth"][row[strips]]
-    found = np.bincount(candidate[first & wire], minlength=n)
-    for axis in (HIT_X, HIT_V):
-        on = (view[strips] == axis) | (view[strips] == HIT_XV)
-        pairs = np.unique(np.stack([candidate[strips[on]], crossing[on]]), axis=1)
-        found = found + np.bincount(pairs[0], minlength=n)
-    every = np.ones(len(row), np.bool_)
-    loops = total(own & looped & ~late & ~shared)
-    return CandidateCounts(best, total(every), total(own), total(own & late), loops, found.astype(np.int64))
-
-
 class _Origins(NamedTuple):
     """Row of the particle of each truth (-1: none), and whether a daughter or another half turn left it."""
 
@@ -170,63 +104,6 @@ def _origins(particles: Table, truths: Table) -> _Origins:
     return _Origins(particle_rows(particles, truths), truths["daughter"] > 0, truths["half_turn"] != 0)
 
 
-def _most_common(owner: Rows, weight: Rows, candidate: Rows, n: int) -> Rows:
-    """Return the most common owner of the hits of each of n candidates: the first one on a tie; -1: none."""
-    best = np.full(n, -1)
-    known = np.flatnonzero(owner >= 0)
-    if not len(known):
-        return best
-    width = int(owner.max()) + 1
-    pairs, place = np.unique(candidate[known] * width + owner[known], return_inverse=True)
-    counts = np.bincount(place, weight[known], minlength=len(pairs))
-    order = np.lexsort((pairs, -counts, pairs // width))
-    first = order[np.diff(pairs[order] // width, prepend=-1) != 0]
-    best[pairs[first] // width] = pairs[first] % width
-    return best
-
-
-def _shared(result: Result, strips: Rows, best: Rows) -> Flags:
-    """Tell which hits are clusters of several crossings, one of them of the candidate's particle.
-
-    The link of such a cluster names the crossing with the most charge only. Another one belongs to it if its point at
-    mid-gap lies within the strips, or a pitch beside them.
-    """
-    shared = np.zeros(len(result.candidate_hits), np.bool_)
-    clusters, truths, particles = result.clusters, result.truths, result.particles
-    row = result.candidate_hits["row"][strips]
-    particle = best[result.candidate_hits["candidate"][strips]]
-    several = (clusters["n_truths"][row] > 1) & (particle >= 0) & (clusters["view"][row] < XV_CLUSTER)
-    strips, row, particle = strips[several], row[several], particle[several]
-    if not len(strips):
-        return shared
-    own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
-    of_truth = np.where(own, particle_rows(particles, truths), -1)
-    layers = len(result.detector.layers)
-    key = of_truth * layers + truths["layer"]
-    order = np.argsort(key, kind="stable")
-    wanted = particle * layers + clusters["layer"][row]
-    at = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
-    other = (key[at] == wanted) & (of_truth[clusters["truth"][row]] != particle)
-    strips, row, at = strips[other], row[other], at[other]
-    if len(strips):
-        shared[strips] = _covers(result.detector, clusters[row].with_columns(truth=at), truths)
-    return shared
-
-
-def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
-    """Tell which clusters hold the mid-gap point of the crossing that they link to, or end a pitch before it."""
-    of_layer = np.array([pitches(layer) for layer in detector.layers])
-    pitch = of_layer[clusters["layer"], clusters["view"]]
-    off = np.abs(residuals(detector, clusters, truths, np.arange(len(clusters))))
-    return np.asarray(off <= (0.5 * clusters["size"] + 1) * pitch)
-
-
-#: Classes of candidates; "decay": of the daughter of a particle that has a track of its own; "loop": of another half
-#: turn of a particle than the first one.
-CLASSES = ("matched", "clone", "decay", "loop", "fake")
-MATCHED, CLONE, DECAY, LOOP, FAKE = range(5)
-
-
 def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]]:
     """Return which particles are findable, (particles,) bool, and how many charged ones each condition removes.
 
@@ -250,51 +127,6 @@ def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, in
         removed[name] = int(np.count_nonzero(rest & which))
         rest = rest & ~which
     return findable, removed
-
-
-def belle2(of: CandidateCounts, particles: ParticleCounts) -> npt.NDArray[np.int8]:
-    """Return the class of each candidate by the definition of Belle II, (candidates,) int8.
-
-    A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's hits.
-
-    Parameters
-    ----------
-    of : CandidateCounts
-    particles : ParticleCounts
-    """
-    left = np.append(particles.hits, 0)[of.particle]
-    enough = (20 * of.found >= left) | _loops(of)
-    good = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & enough & (of.hits > 0)
-    return _classes(of, good)
-
-
-def _loops(of: CandidateCounts) -> Flags:
-    """Return which candidates have most of their particle's hits on later half turns."""
-    return 2 * of.of_loops > of.of_particle
-
-
-def acts(of: CandidateCounts) -> npt.NDArray[np.int8]:
-    """Return the class of each candidate by the definition of ACTS, (candidates,) int8.
-
-    A candidate is of a particle that left half of its hits.
-
-    Parameters
-    ----------
-    of : CandidateCounts
-    """
-    return _classes(of, (of.particle >= 0) & (2 * of.of_particle >= of.hits) & (of.hits > 0))
-
-
-def _classes(of: CandidateCounts, good: Flags) -> npt.NDArray[np.int8]:
-    """Return the class of each candidate; of several of a particle the one with most of its hits is matched."""
-    classes = np.where(of.hits > 0, FAKE, -1).astype(np.int8)
-    classes[good & _loops(of)] = LOOP
-    rows = np.flatnonzero(good & ~_loops(of))
-    order = rows[np.lexsort((rows, -of.found[rows], of.particle[rows]))]
-    first = np.diff(of.particle[order], prepend=-1) != 0
-    classes[order] = np.where(2 * of.of_daughters[order] > of.of_particle[order], DECAY, CLONE)
-    classes[order[first]] = MATCHED
-    return classes
 
 
 Floats = npt.NDArray[np.float64]
@@ -346,7 +178,7 @@ class Finding(Shown):
     particles : ParticleCounts
         Measurements of each particle.
     classes : mapping of str to ndarray, (candidates,) int8
-        By definition, ``"belle2"`` or ``"acts"``: index into `CLASSES`; -1 for candidates without hits.
+        By definition, ``"belle2"`` or ``"acts"``: `MatchStatus` of each candidate.
     charged, findable : ndarray, (particles,) bool
     removed : mapping of str to int
         Charged particles that are not findable, by reason.
@@ -393,7 +225,7 @@ class Finding(Shown):
         ndarray, (particles,) bool
         """
         found = np.zeros(len(self.charged), np.bool_)
-        found[self.candidates.particle[self.classes[definition] == MATCHED]] = True
+        found[self.candidates.particle[self.classes[definition] == MatchStatus.matched]] = True
         return found
 
     def rates(self, definition: Definition = "belle2", among: npt.ArrayLike | None = None) -> FindingRates:
@@ -409,25 +241,25 @@ class Finding(Shown):
         """
         which = self.findable if among is None else self.findable & np.asarray(among, np.bool_)
         classes = self.classes[definition]
-        known = classes >= 0
+        known, clone = classes != MatchStatus.no_hits, classes == MatchStatus.clone
         return FindingRates(
             efficiency=_fraction(self.found(definition), which),
-            fakes=_fraction(classes == FAKE, known),
-            clones=_fraction(classes == CLONE, (classes == MATCHED) | (classes == CLONE)),
-            decays=_fraction(classes == DECAY, known),
-            loops=_fraction(classes == LOOP, known),
+            fakes=_fraction(classes == MatchStatus.fake, known),
+            clones=_fraction(clone, (classes == MatchStatus.matched) | clone),
+            decays=_fraction(classes == MatchStatus.decay_daughter, known),
+            loops=_fraction(classes == MatchStatus.other_half_turn, known),
         )
 
     @property
     def purity(self) -> float:
         """Mean share of a matched track's hits that its particle left; Belle II."""
-        counts, matched = self.candidates, self.classes["belle2"] == MATCHED
+        counts, matched = self.candidates, self.classes["belle2"] == MatchStatus.matched
         return float(np.mean(counts.of_particle[matched] / counts.hits[matched])) if matched.any() else float("nan")
 
     @property
     def hit_efficiency(self) -> float:
         """Mean share of a matched particle's measurements on its first half turn that its track has; Belle II."""
-        counts, matched = self.candidates, self.classes["belle2"] == MATCHED
+        counts, matched = self.candidates, self.classes["belle2"] == MatchStatus.matched
         left = np.maximum(self.particles.hits[counts.particle[matched]], 1)
         return float(np.mean(counts.found[matched] / left)) if matched.any() else float("nan")
 
@@ -489,7 +321,7 @@ def finding(result: Result) -> Finding:
     if "candidates" not in result.tables:
         expected = "a run with until='find' or 'fit' that keeps all tables"
         raise ValueError(f"finding: got a result without candidates; expected {expected}")
-    of_candidate, of_particle = count_candidates(result), count_particles(result)
+    of_candidate, of_particle = count_candidates(result.detector, result.tables), count_particles(result)
     particles = result.particles
     charged = np.asarray(particles["charge"] != 0)
     findable, removed = findable_of(of_particle, charged)
@@ -500,7 +332,7 @@ def finding(result: Result) -> Finding:
         detector=result.detector.name,
         candidates=of_candidate,
         particles=of_particle,
-        classes={"belle2": belle2(of_candidate, of_particle), "acts": acts(of_candidate)},
+        classes={"belle2": belle2(of_candidate), "acts": acts(of_candidate)},
         charged=charged,
         findable=findable,
         removed=removed,
@@ -630,15 +462,15 @@ def loop_links(result: Result) -> LoopLinks:
     classes, particle = found.classes["belle2"], found.candidates.particle
     of_track = result.fitted["candidate"]
     classes, particle = classes[of_track], particle[of_track]
-    known = classes >= 0
+    known, loops = classes != MatchStatus.no_hits, classes == MatchStatus.other_half_turn
     linked = first != np.arange(len(first))
-    matched = classes == MATCHED
-    foreign = linked & ((particle != particle[first]) | (classes == FAKE) | (classes[first] == FAKE))
+    matched, fake = classes == MatchStatus.matched, classes == MatchStatus.fake
+    foreign = linked & ((particle != particle[first]) | fake | fake[first])
     return LoopLinks(
         first=first,
         found=found,
-        before=_fraction(classes == LOOP, known),
-        after=_fraction(classes == LOOP, known & ~linked),
+        before=_fraction(loops, known),
+        after=_fraction(loops, known & ~linked),
         wrong=_fraction(foreign, linked),
         lost=_fraction(linked, matched),
     )

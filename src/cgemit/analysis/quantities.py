@@ -16,7 +16,7 @@ import numpy.typing as npt
 from cgemit import helix, tables
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.errors import did_you_mean
-from cgemit.reconstruction.fit import FitStatus
+from cgemit.chain.match import measuring
 
 Floats = npt.NDArray[np.float64]
 
@@ -229,9 +229,10 @@ def quantity_of(name: str, what: str = "quantity") -> Quantity:
 def median_error(tracks: Columns, quantity: str) -> float:
     """Return the median of the fit's own errors of a quantity, in its unit; NaN for fewer than 10 tracks.
 
-    It scatters much less than the core width, but it is right only where the pulls have the width 1.
+    Of tracks with their matches, those that count in resolutions. It scatters much less than the core width, but it is
+    right only where the pulls have the width 1.
     """
-    return median(QUANTITIES[quantity].error(tracks)[tracks["status"] == FitStatus.ok])
+    return median(QUANTITIES[quantity].error(tracks)[measuring(tracks)])
 
 
 def median(errors: Floats) -> float:

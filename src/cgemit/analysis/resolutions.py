@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import _core
-from cgemit.analysis.quantities import NAMES, QUANTITIES, quantity_of
+from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, quantity_of
 from cgemit.analysis.widths import HEAD, Floats, Resolution, measure, stacked
 from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import InTurn
+from cgemit.chain.match import counts_left_out, measuring
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
 from cgemit.particles.species import species
 from cgemit.tables import PARAMETERS, Table
@@ -37,7 +37,8 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     Parameters
     ----------
     tracks : Table or Result
-        Of kind "tracks", or with such a table. Rows whose fit ended well are used; the others are counted by status.
+        Of kind "tracks", or with such a table. Tracks that were fitted well and measure their particle (`MatchStatus`)
+        are used; the others are counted by status.
     parameter : str
         Name or symbol, such as "dr", "d_rho" or "σ(d_ρ)"; all are in `cgemit.analysis.quantities.NAMES`.
     window : (low, high) or None
@@ -61,7 +62,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     ('um', 198, 8, 500)
     """
     known, columns = quantity_of(parameter, "parameter"), track_columns(tracks)
-    return _measure(columns["status"], known.residual(columns), known.name, known.unit, window)
+    return _measure(columns, known.residual(columns), known.name, known.unit, window)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -159,7 +160,7 @@ def pulls(tracks: Table | Result) -> Pulls:
     {'dr': 1.0, 'phi0': 1.0, 'kappa': 1.0, 'dz': 1.1, 'tanl': 1.0, 'p': 1.0}
     """
     columns = track_columns(tracks)
-    return Pulls(tuple(_measure(columns["status"], columns[f"pull_{name}"], name) for name in PARAMETERS))
+    return Pulls(tuple(_measure(columns, columns[f"pull_{name}"], name) for name in PARAMETERS))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -264,8 +265,11 @@ def resolution_against(
     bin_of[x == edges[-1]] = len(edges) - 2
     bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
     chosen = [bin_of == i for i in range(len(edges) - 1)]
-    status = columns["status"]
-    values = tuple(_measure(status[rows], sample[rows], known.name, unit, window) for rows in chosen)
+    state = {name: columns[name] for name in ("status", "match")}
+    values = tuple(
+        _measure({name: one[rows] for name, one in state.items()}, sample[rows], known.name, unit, window)
+        for rows in chosen
+    )
     means = tuple(float(x[rows].mean()) if rows.any() else math.nan for rows in chosen)
     outside = len(x) - sum(int(np.count_nonzero(rows)) for rows in chosen)
     return Curve(known.name, unit, by, by_unit, tuple(map(float, edges)), means, values, outside)
@@ -279,16 +283,16 @@ def _known(name: str, what: str, known: list[str]) -> str:
 
 
 def _measure(
-    status: npt.NDArray[np.int8],
+    tracks: Columns,
     values: Floats,
     parameter: str,
     unit: str = "",
     window: tuple[float, float] | None = None,
 ) -> Resolution:
-    """Measure the values of the tracks whose fit ended well."""
-    good = status == 0
+    """Measure the values of the tracks that were fitted well and measure their particle."""
+    good = measuring(tracks)
     usable = good & np.isfinite(values)
-    removed = removed_rows(status, int(np.count_nonzero(good & ~usable)))
+    removed = _removed(counts_left_out(tracks["status"], tracks["match"]), int(np.count_nonzero(good & ~usable)))
     return measure(values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
 
 
@@ -313,12 +317,9 @@ def _equal_bins(x: Floats, bins: int) -> Floats:
     return np.linspace(low, high, bins + 1)
 
 
-def removed_rows(status: npt.NDArray[np.int8], no_value: int) -> tuple[tuple[str, int], ...]:
+def _removed(counts: Mapping[str, int], no_value: int) -> tuple[tuple[str, int], ...]:
     """Return how many rows each status removed, and how many good ones had no number."""
-    codes, numbers = np.unique(status[status != 0], return_counts=True)
-    names = {int(one): one.name for one in _core.FitStatus}
-    removed = [(names.get(int(c), f"status {c}"), int(n)) for c, n in zip(codes, numbers, strict=True)]
-    return tuple(removed + ([("without a value", int(no_value))] if no_value else []))
+    return (*counts.items(), *([("without a value", no_value)] if no_value else []))
 
 
 #: A cosine of the polar angle, the limits of a uniform range, or values of equal weight.
@@ -686,7 +687,7 @@ def chi2_flatness(tracks: Table | Result, bins: int = 20) -> Flatness:
     kolmogorov = special.kolmogorov(distance * (math.sqrt(n) + 0.12 + 0.11 / math.sqrt(n)))
     counts = np.histogram(probability, bins, (0.0, 1.0))[0]
     chi2 = float(np.sum((counts - n / bins) ** 2) / (n / bins))
-    removed = removed_rows(tracks["status"], int(np.count_nonzero(tracks["status"] == 0)) - n)
+    removed = _removed(counts_left_out(tracks["status"]), int(np.count_nonzero(tracks["status"] == 0)) - n)
     mean, error = float(probability.mean()), math.sqrt(1 / 12 / n)
     binned = float(special.gammaincc((bins - 1) / 2, chi2 / 2))
     return Flatness(n, removed, mean, error, float(kolmogorov), chi2, bins - 1, binned)

@@ -1,22 +1,195 @@
-"""Match of tracks to particles: purity, efficiency, true parameters, residuals and pulls (docs/methods/match.md)."""
+"""Match of tracks to particles: class, purity, true parameters, residuals and pulls (docs/methods/match.md)."""
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.detector import Detector, compiled, load
-from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV
-from cgemit.reconstruction.find.truth import link_problems
+from cgemit.detector.parts import pitches
+from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV, XV_CLUSTER
+from cgemit.reconstruction.find.truth import link_problems, particle_rows, residuals
+from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+Statuses = npt.NDArray[np.int8]
+
+
+class MatchStatus(enum.IntEnum):
+    """Class of a candidate or track by its hits; 0 is the one that measures its particle.
+
+    ``clone``: a further one of a particle. ``decay_daughter``: a further one, with hits mostly of the particle's
+    charged daughters. ``other_half_turn``: with hits mostly of other half turns than the first outward one. ``fake``:
+    of no particle, or with too few hits of one. ``no_hits``: without hits.
+
+    Examples
+    --------
+    >>> [status.name for status in cg.MatchStatus]
+    ['matched', 'clone', 'decay_daughter', 'other_half_turn', 'fake', 'no_hits']
+    """
+
+    matched = 0
+    clone = 1
+    decay_daughter = 2
+    other_half_turn = 3
+    fake = 4
+    no_hits = 5
+
+
+class CandidateCounts(NamedTuple):
+    """Numbers of hits of each candidate, all of shape (candidates,); an XV cluster counts as two.
+
+    Attributes
+    ----------
+    particle : ndarray, int64
+        Row of the particle with the most hits, daughters of its decays included; -1 without hits of a particle.
+    hits : ndarray, int64
+        All its hits.
+    of_particle : ndarray, int64
+        Hits of that particle and of its daughters, with clusters that it shares.
+    of_daughters : ndarray, int64
+        Hits of its daughters.
+    of_loops : ndarray, int64
+        Hits that the particle itself left on other half turns than the first.
+    half_turn : ndarray, int8
+        Half turn of most hits that the particle itself left; 0 without any.
+    found : ndarray, int64
+        Measurements of that particle itself on its first half turn: crossings of a gap, counted per view, and cells.
+        A cluster of several particles counts for the one with the most charge.
+    left : ndarray, int64
+        Measurements that the particle left on its first half turn; 0 without a particle.
+    """
+
+    particle: Rows
+    hits: Rows
+    of_particle: Rows
+    of_daughters: Rows
+    of_loops: Rows
+    half_turn: Statuses
+    found: Rows
+    left: Rows
+
+
+def count_candidates(detector: Detector, tables: Mapping[str, Table]) -> CandidateCounts:
+    """Return the hits of each candidate.
+
+    Parameters
+    ----------
+    detector : Detector
+    tables : mapping of str to Table
+        candidates, candidate_hits, clusters, wire_hits, particles, truths and wire_truths.
+
+    Raises
+    ------
+    ValueError
+        If a hit of a candidate counts a row that is not there.
+    """
+    return _counts(detector, tables, _match_hits(tables))
+
+
+def _match_hits(tables: Mapping[str, Table]) -> dict[str, npt.NDArray[Any]]:
+    names = ("particles", "truths", "wire_truths", "clusters", "wire_hits", "candidate_hits")
+    columns = {name: dict(tables[name].columns) for name in names}
+    return _core.match_hits(**columns, candidates=len(tables["candidates"]))
+
+
+def _counts(detector: Detector, tables: Mapping[str, Table], of: Mapping[str, npt.NDArray[Any]]) -> CandidateCounts:
+    shared = _shared(detector, tables, of["particle"])
+    return CandidateCounts(
+        of["particle"], of["hits"], of["own"] + of["of_daughters"] + shared, of["of_daughters"], of["of_loops"],
+        of["half_turn"], of["crossings"], np.append(of["crossings_left"], 0)[of["particle"]],
+    )  # fmt: skip
+
+
+def _shared(detector: Detector, tables: Mapping[str, Table], best: Rows) -> Rows:
+    """Return how many hits of each candidate are clusters of several crossings, one of them of its particle.
+
+    The link of such a cluster names the crossing with the most charge only. Another one belongs to it if its point at
+    mid-gap lies within the strips, or a pitch beside them.
+    """
+    clusters, truths, hits = (tables[name] for name in ("clusters", "truths", "candidate_hits"))
+    several = (clusters["n_truths"] > 1) & (clusters["view"] < XV_CLUSTER)
+    shared = np.zeros(len(best), np.int64)
+    if not several.any() or not len(truths):
+        return shared
+    strips = np.flatnonzero(hits["view"] != HIT_WIRE)
+    candidate, row = hits["candidate"][strips], hits["row"][strips]
+    chosen = several[row] & (best[candidate] >= 0)
+    candidate, row = candidate[chosen], row[chosen]
+    own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
+    of_truth = np.where(own, particle_rows(tables["particles"], truths), -1)
+    layers = len(detector.layers)
+    key = of_truth * layers + truths["layer"]
+    order = np.argsort(key, kind="stable")
+    wanted = best[candidate] * layers + clusters["layer"][row]
+    at = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
+    link = clusters["truth"][row]
+    other = (key[at] == wanted) & (np.where(link >= 0, of_truth[link], -1) != best[candidate])
+    candidate, row, at = candidate[other], row[other], at[other]
+    if len(row):
+        covered = _covers(detector, clusters[row].with_columns(truth=at), truths)
+        shared += np.bincount(candidate[covered], minlength=len(best))
+    return shared
+
+
+def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
+    """Tell which clusters hold the mid-gap point of the crossing that they link to, or end a pitch before it."""
+    of_layer = np.array([pitches(layer) for layer in detector.layers])
+    pitch = of_layer[clusters["layer"], clusters["view"]]
+    off = np.abs(residuals(detector, clusters, truths, np.arange(len(clusters))))
+    return np.asarray(off <= (0.5 * clusters["size"] + 1) * pitch)
+
+
+def belle2(of: CandidateCounts) -> Statuses:
+    """Return the `MatchStatus` of each candidate by the definition of Belle II, (candidates,) int8.
+
+    A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's measurements.
+
+    Parameters
+    ----------
+    of : CandidateCounts
+    """
+    enough = (20 * of.found >= of.left) | _loops(of)
+    return _classes(of, (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & enough & (of.hits > 0))
+
+
+def acts(of: CandidateCounts) -> Statuses:
+    """Return the `MatchStatus` of each candidate by the definition of ACTS, (candidates,) int8.
+
+    A candidate is of a particle that left half of its hits.
+
+    Parameters
+    ----------
+    of : CandidateCounts
+    """
+    return _classes(of, (of.particle >= 0) & (2 * of.of_particle >= of.hits) & (of.hits > 0))
+
+
+def _loops(of: CandidateCounts) -> Flags:
+    """Return which candidates have most of their particle's hits on other half turns than the first."""
+    return 2 * of.of_loops > of.of_particle
+
+
+def _classes(of: CandidateCounts, good: Flags) -> Statuses:
+    """Return the class of each candidate; of several of a particle the one with most of its hits is matched."""
+    classes = np.where(of.hits > 0, MatchStatus.fake, MatchStatus.no_hits).astype(np.int8)
+    classes[good & _loops(of)] = MatchStatus.other_half_turn
+    rows = np.flatnonzero(good & ~_loops(of))
+    order = rows[np.lexsort((rows, -of.found[rows], of.particle[rows]))]
+    first = np.diff(of.particle[order], prepend=-1) != 0
+    daughters = 2 * of.of_daughters[order] > of.of_particle[order]
+    classes[order] = np.where(daughters, MatchStatus.decay_daughter, MatchStatus.clone)
+    classes[order[first]] = MatchStatus.matched
+    return classes
 
 
 def match(
@@ -36,7 +209,11 @@ def match(
     A track belongs to the particle that most hits of its candidate come from. If several particles have as many hits,
     it belongs to the first one in the table of particles. An XV cluster counts as two hits, its X and its V cluster.
     Noise belongs to no particle. Hits of the charged daughters of a decay count as hits of the particle here, but
-    neither in purity nor in efficiency. The efficiency counts the first half turn alone.
+    neither in purity nor in efficiency. The efficiency counts the first half turn alone. The class of a track
+    (`MatchStatus`) is that of `cgemit.study.finding` by the definition of Belle II.
+
+    The true helix is the particle's where it started. A track of another half turn is not a measurement of it: it has
+    no residuals and no pulls.
 
     Parameters
     ----------
@@ -49,7 +226,8 @@ def match(
     Returns
     -------
     dict of str to Table
-        ``matches``, one row per track; without a particle everything but `purity` is -1 or NaN.
+        ``matches``, one row per track; without a particle everything but `match`, `half_turn` and `purity` is -1 or
+        NaN.
 
     Raises
     ------
@@ -76,12 +254,11 @@ def match(
     )
     if problems:
         raise ValueError("match:\n  " + "\n  ".join(problems))
-    hits = _core.match_hits(
-        particles=dict(particles.columns), truths=dict(truths.columns), wire_truths=dict(wire_truths.columns),
-        clusters=dict(clusters.columns), wire_hits=dict(wire_hits.columns),
-        candidate_hits=dict(candidate_hits.columns), candidates=len(candidates),
-    )  # fmt: skip
-    row, own, total, found = (hits[name][tracks["candidate"]] for name in ("particle", "own", "hits", "found"))
+    chamber = load(detector)
+    counts = _match_hits(tables)
+    of_candidate = _counts(chamber, tables, counts)
+    own = tracks["candidate"]
+    row, pure, total, found = (counts[name][own] for name in ("particle", "own", "hits", "found"))
     known = row >= 0
     of = np.where(known, row, 0)
     none = np.full(len(tracks), np.nan)
@@ -89,12 +266,19 @@ def match(
         "event": tracks["event"],
         "track": np.arange(len(tracks)),
         "particle": np.where(known, particles["particle"].take(of), -1) if len(particles) else np.full(len(tracks), -1),
-        "purity": np.divide(own, total, out=none.copy(), where=total > 0),
-        "efficiency": np.divide(found, hits["left"].take(of), out=none.copy(), where=known) if len(particles) else none,
+        "match": belle2(of_candidate)[own],
+        "half_turn": of_candidate.half_turn[own],
+        "purity": np.divide(pure, total, out=none.copy(), where=total > 0),
+        "efficiency": (
+            np.divide(found, counts["left"].take(of), out=none.copy(), where=known) if len(particles) else none
+        ),
     }
     decayed = np.append(particles["status"] == _core.TransportStatus.decayed, False)
     columns["decayed"] = np.where(known, decayed.take(of), -1)
-    columns |= compare(tracks, particles, row, compiled(load(detector)).field)
+    comparison = compare(tracks, particles, row, compiled(chamber).field)
+    other = columns["match"] == MatchStatus.other_half_turn
+    for name, values in comparison.items():
+        columns[name] = values if name.startswith("truth_") else np.where(other, np.nan, values)
     return {"matches": Table("matches", columns, meta=tracks.meta, **tracks.cover)}
 
 
@@ -123,6 +307,35 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
             residual = np.remainder(residual + np.pi, 2 * np.pi) - np.pi
         columns |= {f"truth_{name}": true, f"res_{name}": residual, f"pull_{name}": residual / tracks[f"err_{name}"]}
     return columns
+
+
+def measuring(tracks: Any) -> Flags:
+    """Return which tracks count in resolutions: fitted well, and matched (`MatchStatus`), (tracks,) bool.
+
+    Parameters
+    ----------
+    tracks : Table, or columns by name
+        With the columns of their matches.
+    """
+    return np.asarray((tracks["status"] == FitStatus.ok) & (tracks["match"] == MatchStatus.matched))
+
+
+def counts_left_out(status: npt.NDArray[Any], match: npt.NDArray[Any] | None = None) -> dict[str, int]:
+    """Return how many tracks resolutions leave out, by `FitStatus` and, of those that were fitted, `MatchStatus`.
+
+    Parameters
+    ----------
+    status, match : ndarray, (tracks,) int
+        Without a truth, `match` is None.
+    """
+    codes, numbers = np.unique(status[status != FitStatus.ok], return_counts=True)
+    names = {int(one): one.name for one in FitStatus}
+    counts = {names.get(int(code), f"status {code}"): int(n) for code, n in zip(codes, numbers, strict=True)}
+    if match is not None:
+        fitted = match[status == FitStatus.ok]
+        others = (one for one in MatchStatus if one != MatchStatus.matched)
+        counts |= {one.name: n for one in others if (n := int(np.count_nonzero(fitted == one)))}
+    return counts
 
 
 def joined(tracks: Table, matches: Table) -> Table:

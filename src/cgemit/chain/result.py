@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.base.files import new_folder
-from cgemit.chain.match import joined
+from cgemit.chain.match import counts_left_out, joined
 from cgemit.chain.record import Run, gun_data, read_run, record, write_about
 from cgemit.chain.settings import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.find.ckf import BEYOND
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.simulation.transport import transport_counts
 from cgemit.tables import SCHEMAS, Table, save_tables, select_events
 from cgemit.tables.formats import check_format
@@ -217,11 +216,11 @@ class Result:
         return {**self.tables, **({"tracks": self.tracks} if "tracks" in self.tables else {})}
 
     def removed(self) -> dict[str, int]:
-        """Count the tracks of each status other than ok."""
+        """Count the tracks that resolutions leave out, by `FitStatus` and, of those that were fitted, `MatchStatus`."""
         if "tracks" not in self.tables:
             return {}
-        status = column_of(self.tables, "tracks", "status")
-        return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
+        match = column_of(self.tables, "matches", "match") if "matches" in self.tables else None
+        return counts_left_out(column_of(self.tables, "tracks", "status"), match)
 
     def beyond_search(self) -> int:
         """Count the events whose search for tracks left out seeds at a limit; 0 if the finder does not tell."""
@@ -315,7 +314,7 @@ class Result:
         rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
         if "tracks" in self.tables:
             removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
-            rows.append(("tracks", f"{self.rows['tracks']:,} (not fitted: {removed})"))
+            rows.append(("tracks", f"{self.rows['tracks']:,} (left out: {removed})"))
         rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
         if self.finder is not None:
             rows.append(("hits", hits_by(self.finder)))
@@ -401,10 +400,10 @@ def track_columns(given: Result | Table) -> Table | TrackColumns:
     if isinstance(given, Result) and "tracks" in given.tables:
         return TrackColumns(given)
     tracks = tracks_of(given)
-    if "res_dr" not in tracks:
+    if not {"res_dr", "match"} <= tracks.keys():
         raise ValueError(
-            "tracks: got none with truth (res_dr, pull_dr ...), expected those of a run; cg.match compares fitted "
-            "tracks with particles"
+            "tracks: got none with truth (match, res_dr, pull_dr ...), expected those of a run; cg.match compares "
+            "fitted tracks with particles"
         )
     return tracks
 

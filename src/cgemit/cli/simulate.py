@@ -206,7 +206,7 @@ def run(arguments: argparse.Namespace) -> int:
             shutil.rmtree(parts.parent)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     options.say(json.dumps(summary, indent=2) if arguments.json else text)
-    if fits and arguments.keep is None and median_error(result.tables["tracks"], "p_rel") > 100:
+    if fits and arguments.keep is None and median_error(result.tracks, "p_rel") > 100:
         options.warn_unmeasured(detector, "most of the momenta")
     options.note(arguments, f"tables: {arguments.output}{'' if fits else ' (nothing was fitted: --fit does)'}")
     return 0

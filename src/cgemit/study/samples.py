@@ -15,6 +15,7 @@ from cgemit.analysis.resolutions import Pulls, pulls
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.validate import InTurn
 from cgemit.chain import run
+from cgemit.chain.match import measuring
 from cgemit.chain.record import gun_data, record
 from cgemit.chain.settings import FinderLike, Settings, tables_made
 from cgemit.detector import Detector, MapField
@@ -60,7 +61,7 @@ class Sample(Shown, Order):
     clusters : ClusterResiduals
     deltas : DeltaFractions
     removed : mapping of str to int
-        Tracks that did not fit, by status.
+        Tracks that resolutions leave out, by status.
     transport : mapping of str to int
         Particles by how their transport ended.
     timings : mapping of str to float, s
@@ -85,7 +86,7 @@ class Sample(Shown, Order):
         return "sample", _HEAD, [row]
 
 
-_HEAD = ("sample", "gun", "events", "seed", "fitted", "not fitted")
+_HEAD = ("sample", "gun", "events", "seed", "fitted", "left out")
 
 
 def _counts(counts: Mapping[str, int]) -> str:
@@ -246,8 +247,8 @@ def cosines_of(order: Order) -> Any:
 
 
 def fitted(sample: Sample) -> int:
-    """Return how many tracks were fitted."""
-    return int(np.count_nonzero(sample.tracks["status"] == FitStatus.ok))
+    """Return how many tracks count in resolutions."""
+    return int(np.count_nonzero(measuring(sample.tracks)))
 
 
 def decayed(sample: Sample) -> int:

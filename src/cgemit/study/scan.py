@@ -23,6 +23,7 @@ from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_gr
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import InTurn, check_numbers
 from cgemit.base.version import __version__
+from cgemit.chain.match import measuring
 from cgemit.chain.record import gun_data, record, write_record
 from cgemit.chain.settings import FinderLike, Settings, hits_text
 from cgemit.covariance.analytic import analytic
@@ -87,7 +88,7 @@ def scan_columns(samples: Sequence[Sample]) -> Columns:
         columns[column("median_error")] = [median_error(s.tracks, name) for s in samples]
     columns["decayed"] = [decayed(s) for s in samples]
     columns["fitted"] = [fitted(s) for s in samples]
-    columns["not fitted"] = [counts_text(s.removed) for s in samples]
+    columns["left out"] = [counts_text(s.removed) for s in samples]
     return columns
 
 
@@ -116,7 +117,7 @@ def difference(
     known, found, replicas = QUANTITIES[quantity], [], []
     for tracks in (sample.tracks, base.tracks):
         values, statistic = (known.residual(tracks), core_sigma) if kind == "sigma" else (known.error(tracks), median)
-        rows = (tracks["status"] == FitStatus.ok) & np.isfinite(values)  # tracks of no particle have no residual
+        rows = measuring(tracks) & np.isfinite(values)
         values = values[rows]
         found.append(statistic(values))
         replicas.append(without_groups(values, tracks["event"][rows], statistic))
@@ -237,7 +238,7 @@ class ScanBase(Shown, Tabular):
 
     @property
     def removed(self) -> Mapping[str, Mapping[str, int]]:
-        """Tracks that were not fitted, by sample and status."""
+        """Tracks that resolutions leave out, by sample and status."""
         return {}
 
     @property
@@ -472,7 +473,7 @@ class Scan(ScanBase):
 
     @property
     def removed(self) -> dict[str, Mapping[str, int]]:
-        """Tracks that were not fitted, by sample and status."""
+        """Tracks that resolutions leave out, by sample and status."""
         return {s.label: s.removed for s in self.samples}
 
     def _line(self, name: str) -> Line:
@@ -517,17 +518,21 @@ class Scan(ScanBase):
         made = ", ".join(filter(None, [self.readout and f"readout {self.readout}", f"hits {self.hits}"]))
         title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
         head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
-        return title, [*head, "decayed", "fitted", "not fitted"], rows
+        return title, [*head, "decayed", "fitted", "left out"], rows
 
     def note(self) -> str:
         """Return where hardly any track was fitted, and where the fit lost more than 5 % of them; empty if nowhere."""
         few = hardly_fitted(self.samples)
         lines = [f"at {_momenta(few)} GeV/c: {why_unfitted(few)}"] if few else []
-        lost = [s for s in self.samples if sum(s.removed.values()) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
+        lost = [s for s in self.samples if _failed(s) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
         if lost:
             about = "over 5 % of the tracks are not fitted; the widths of the others may be too small"
             lines.append(f"at {_momenta(lost)} GeV/c: {about}")
         return "\n".join(lines)
+
+
+def _failed(sample: Sample) -> int:
+    return int(np.count_nonzero(sample.tracks["status"] != FitStatus.ok))
 
 
 def _momenta(samples: Sequence[Sample]) -> str:
@@ -814,7 +819,7 @@ def compared(simulated: Scan, line: AnalyticScan) -> str:
         cells.append([with_error(value, 0.0) for value in expected])
         ratios = zip(points.y / expected, points.y_error / expected, strict=True)
         cells.append([with_error(*pair) for pair in ratios])
-    head += ["fitted", "not fitted"]
+    head += ["fitted", "left out"]
     cells.append([f"{fitted(sample)}/{sample.n_events}" for sample in simulated.samples])
     cells.append([counts_text(sample.removed) for sample in simulated.samples])
     title = (

@@ -91,8 +91,8 @@ def _comparison() -> tuple[Column, ...]:
         column
         for name, unit in PARAMETERS.items()
         for column in (
-            real(f"truth_{name}", unit, f"true {name}"),
-            real(f"res_{name}", unit, f"fitted minus true {name}"),
+            real(f"truth_{name}", unit, f"true {name} of the particle where it started"),
+            real(f"res_{name}", unit, f"fitted minus true {name}; NaN for tracks of other half turns than the first"),
             real(f"pull_{name}", "", f"res_{name} / err_{name}"),
         )
     )
@@ -102,7 +102,12 @@ def _helix(pivot: str) -> tuple[Column, ...]:
     """Parameters with respect to a pivot, and their covariance."""
     return (
         real("dr", "mm", f"signed distance of closest approach to {pivot} (d_rho)"),
-        real("phi0", "rad", "azimuth of the point of closest approach; the flight azimuth is phi0 + pi/2"),
+        real(
+            "phi0",
+            "rad",
+            "flight azimuth at the point of closest approach, minus pi/2: the azimuth from the pivot to this point if "
+            "dr > 0, and the opposite one if dr < 0",
+        ),
         real("kappa", "1/(GeV/c)", "charge / pT"),
         real("dz", "mm", "z at the point of closest approach, from the pivot"),
         real("tanl", "", "pz / pT"),
@@ -133,6 +138,8 @@ MATCHES = (
     EVENT,
     link("track", "the track", "tracks"),
     whole("particle", "number of the particle that left most hits, with its daughters; -1 none"),
+    column_of("i1", "match", "", "class of the track (MatchStatus; 0 is the one that measures its particle)"),
+    column_of("i1", "half_turn", "", "half turn of most hits that the particle left itself; 0 without any"),
     real("purity", "", "share of the candidate's hits that the particle left itself; NaN without hits"),
     real(
         "efficiency",
@@ -147,7 +154,7 @@ RESIDUALS = (
     EVENT,
     link("track", "the track", "tracks"),
     column_of("i1", "view", "", "0 X, 1 V, 2 wire; an XV cluster has a row for X and one for V"),
-    whole("layer", "layer of the cluster or wire"),
+    whole("layer", "layer of the cluster or the wire, as in their tables"),
     link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
     real(
         "residual",
@@ -176,7 +183,7 @@ STATES = (
         "i1", "surface", "", "surface: 0 origin, 1 closest approach to the beam line, 2 cylinder, 3 hit (Surface)"
     ),
     column_of("i1", "view", "", "of a hit: 0 X, 1 V, 2 wire; -1 elsewhere"),
-    whole("layer", "layer of the cluster or wire; -1 elsewhere"),
+    whole("layer", "layer of the cluster or the wire, as in their tables; -1 elsewhere"),
     link("hit", "the cluster (views 0 and 1) or wire hit (view 2)", ("clusters", "clusters", "wire_hits")),
     real("r", "mm", "distance from the beam line"),
     *point("", "point of the track"),
@@ -212,7 +219,10 @@ VERTICES = (
 
 
 _PARTICLE = whole("particle", "number of the particle within its event")
-_SHEET = whole("sheet", "sheet of the layer")
+_SHEET = whole("sheet", "sheet of the layer; 0 for layers without sheets")
+_LAYER = whole("layer", "layer that measures positions (`Detector.layers`), CGEM or other, 0 innermost")
+_WIRE_LAYER = whole("layer", "drift-chamber layer, by its number in the detector file (BESIII: 0 to 42)")
+_X_V = "0 X (r phi), 1 V (across the V strips; z for layers with a stereo angle of 90 degrees)"
 
 _PARTICLES = (
     EVENT,
@@ -247,7 +257,7 @@ _DECAYS = (
 _TRUTHS = (
     EVENT,
     _PARTICLE,
-    whole("layer", "CGEM layer, 0 innermost"),
+    _LAYER,
     *point("entry_", "entry into the drift gap"),
     *point("exit_", "exit from the drift gap"),
     real("r", "mm", "radius of the middle of the gap"),
@@ -265,7 +275,7 @@ _TRUTHS = (
 _STEPS = (
     EVENT,
     _PARTICLE,
-    whole("layer", "CGEM layer, 0 innermost"),
+    _LAYER,
     *point("", "middle of the step"),
     *(real(f"d{axis}", "mm", f"end minus begin of the step (0 for an ionization cluster), {axis}") for axis in "xyz"),
     real("energy", "keV", "deposited energy"),
@@ -278,7 +288,7 @@ _STEPS = (
 _WIRE_TRUTHS = (
     EVENT,
     _PARTICLE,
-    whole("layer", "drift-chamber layer, experiment's number (0..42)"),
+    _WIRE_LAYER,
     whole("wire", "cell of the layer"),
     real("doca", "mm", "signed distance of closest approach to the wire"),
     column_of("i1", "side", "", "sign of doca, +1 or -1"),
@@ -290,9 +300,9 @@ _WIRE_TRUTHS = (
 
 _DIGIS = (
     EVENT,
-    whole("layer", "CGEM layer, 0 innermost"),
+    _LAYER,
     _SHEET,
-    column_of("i1", "view", "", "0 X, 1 V"),
+    column_of("i1", "view", "", _X_V),
     whole("strip", "strip of the view and sheet; -1 if a position is measured without strips"),
     whole("gid", "strip number in the whole CGEM; -1 without strips"),
     real("position", "mm", "X or V measured without strips; NaN with strips"),
@@ -304,7 +314,7 @@ _DIGIS = (
 
 _WIRE_HITS = (
     EVENT,
-    whole("layer", "drift-chamber layer, experiment's number (0..42)"),
+    _WIRE_LAYER,
     whole("wire", "cell of the layer"),
     whole("gid", "wire number in the whole drift chamber"),
     real("drift", "mm", "measured drift distance"),
@@ -317,16 +327,16 @@ _WIRE_HITS = (
 _NOT_MEASURED = "NaN if not measured"
 _CLUSTERS = (
     EVENT,
-    whole("layer", "CGEM layer, 0 innermost"),
+    _LAYER,
     _SHEET,
-    column_of("i1", "view", "", "0 X, 1 V, 2 XV"),
+    column_of("i1", "view", "", f"{_X_V}, 2 XV: both"),
     whole("first", "first strip; -1 where there is none"),
     whole("last", "last strip; -1 where there is none"),
     whole("size", "number of strips"),
     real("charge", "fC", "sum of the strips' charges"),
     real("time", "ns", "arrival time"),
-    real("x", "mm", f"X on the unrolled anode; {_NOT_MEASURED}"),
-    real("v", "mm", f"V on the unrolled anode; {_NOT_MEASURED}"),
+    real("x", "mm", f"X on the unrolled readout surface; {_NOT_MEASURED}"),
+    real("v", "mm", f"V on the unrolled readout surface; {_NOT_MEASURED}"),
     real("phi", "rad", f"azimuth at mid-gap; {_NOT_MEASURED}"),
     real("z", "mm", f"z at mid-gap; {_NOT_MEASURED}"),
     real("r", "mm", "radius of the middle of the gap"),
@@ -366,7 +376,7 @@ _SEARCHES = (
 _KINDS = (
     ("particles", _PARTICLES, "one generated particle"),
     ("decays", _DECAYS, "one charged daughter of a decay in flight"),
-    ("truths", _TRUTHS, "one crossing of a CGEM drift gap"),
+    ("truths", _TRUTHS, "one crossing of a CGEM drift gap, or of the sensor of another layer"),
     ("steps", _STEPS, "one deposit in a CGEM drift gap: a step of a delta electron, or an ionization cluster"),
     ("wire_truths", _WIRE_TRUTHS, "one crossing of a drift-chamber cell"),
     ("digis", _DIGIS, "one fired strip, or one position measured without strips"),

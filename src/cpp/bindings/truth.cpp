@@ -63,6 +63,11 @@ py::dict matched(const py::dict& particles, const py::dict& truths, const py::di
   out["hits"] = to_numpy(std::move(found.hits));
   out["found"] = to_numpy(std::move(found.found));
   out["left"] = to_numpy(std::move(found.left));
+  out["of_daughters"] = to_numpy(std::move(found.of_daughters));
+  out["of_loops"] = to_numpy(std::move(found.of_loops));
+  out["half_turn"] = to_numpy(std::move(found.half_turn));
+  out["crossings"] = to_numpy(std::move(found.crossings));
+  out["crossings_left"] = to_numpy(std::move(found.crossings_left));
   return out;
 }
 

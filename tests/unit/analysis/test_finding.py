@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.analysis.finding import CLASSES
 from cgemit.analysis.widths import Fraction
 from cgemit.chain.match import match
 from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
 from cgemit.reconstruction.fit import fit
+from stats import assert_within
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def in_one_event(run):
 
 
 def classes(finding, definition="belle2"):
-    return [CLASSES[i] for i in finding.classes[definition]]
+    return [cg.MatchStatus(i).name for i in finding.classes[definition]]
 
 
 def test_the_perfect_finder_scores_all_and_nothing_else(run):
@@ -203,14 +203,20 @@ def labelled(run, label):
 
 
 def classes_loops(run, definition="belle2"):
-    return [CLASSES[i] for i in cg.study.finding(run).classes[definition]]
+    return [cg.MatchStatus(i).name for i in cg.study.finding(run).classes[definition]]
 
 
 @pytest.mark.parametrize("definition", ["belle2", "acts"])
 def test_tracks_of_later_half_turns_are_loop_clones(run_loops, definition):
     """Neither clones nor fakes; the efficiency of hits is that of the first half turn, which has all of its own."""
     each = labelled(run_loops, lambda turn: turn)
-    assert classes_loops(each, definition) == ["matched", "loop", "loop", "loop", "loop"]
+    assert classes_loops(each, definition) == [
+        "matched",
+        "other_half_turn",
+        "other_half_turn",
+        "other_half_turn",
+        "other_half_turn",
+    ]
     finding = cg.study.finding(each)
     rates = finding.rates(definition)
     assert (rates.efficiency.value, rates.fakes.count, rates.clones.count) == (1, 0, 0)
@@ -221,7 +227,7 @@ def test_tracks_of_later_half_turns_are_loop_clones(run_loops, definition):
 
 def test_the_first_half_turn_decides_what_is_findable_and_found(run_loops):
     later = cg.study.finding(labelled(run_loops, lambda turn: turn - 1))
-    assert [CLASSES[i] for i in later.classes["belle2"]] == ["loop"] * 4
+    assert [cg.MatchStatus(i).name for i in later.classes["belle2"]] == ["other_half_turn"] * 4
     assert later.findable.tolist() == [True]
     assert later.rates().efficiency.count == 0
     of_cluster, of_wire = turns(run_loops)
@@ -238,7 +244,7 @@ def test_hits_of_later_half_turns_are_own_hits(run_loops):
     with_some[np.flatnonzero(hits["candidate"] == 1)[:8]] = 0
     moved = replace(found, tables=found.tables | {"candidate_hits": hits.with_columns(candidate=with_some)})
     finding = cg.study.finding(moved)
-    assert [CLASSES[i] for i in finding.classes["belle2"]] == ["matched", "loop"]
+    assert [cg.MatchStatus(i).name for i in finding.classes["belle2"]] == ["matched", "other_half_turn"]
     assert (finding.purity, finding.hit_efficiency) == (1, 1)
     assert finding.candidates.of_loops[0] >= 8
 
@@ -259,6 +265,49 @@ def test_hits_of_daughters_are_not_pure(run):
     assert matches["efficiency"][1] == 1
 
 
+@pytest.fixture(scope="module")
+def curled():
+    """Muons that curl up, found on their first half turn alone, and on six."""
+    gun = cg.Gun("mu-", pt=(0.2, 0.5), cos_theta=(-0.3, 0.3))
+    settings = [cg.Settings(simulate=cg.SimulateSettings(half_turns=n, decays=False)) for n in (1, 6)]
+    return [cg.run("cepc-like", gun, n=80, seed=7, finder="ckf", settings=one) for one in settings]
+
+
+def test_tracks_of_later_half_turns_are_no_measurements_of_the_first(curled):
+    """They have a class, no residual and no pull, and widen nothing; the true helix is the particle's all the same."""
+    once, often = curled
+    tracks, later = often.tracks, often.tracks["match"] == cg.MatchStatus.other_half_turn
+    assert np.count_nonzero(later) > 50
+    assert np.all(tracks["half_turn"][later] > 0)
+    assert np.all(tracks["half_turn"][tracks["match"] == 0] == 0)
+    good = tracks["status"] == 0
+    for name in ("dr", "phi0", "kappa", "dz", "tanl", "p"):
+        for kind in ("res", "pull"):
+            np.testing.assert_array_equal(np.isnan(tracks[f"{kind}_{name}"])[good], later[good])
+        assert np.isfinite(tracks[f"truth_{name}"]).all()
+    one, six = cg.resolution(once, "dr"), cg.resolution(often, "dr")
+    assert dict(six.removed)["other_half_turn"] == np.count_nonzero(later & good)
+    assert "other_half_turn" not in dict(one.removed)
+    assert abs(six.n - one.n) <= 2
+    assert six.q68 < 1.3 * one.q68  # 60 times with later half turns
+    for pull in cg.study.pulls(often):
+        assert_within(pull.q68, 1, pull.q68_error, what=pull.parameter)
+    assert often.removed() == dict(six.removed)
+    assert f"{np.count_nonzero(later & good):,} other_half_turn" in repr(often)
+    # As without a class: the comparison with the first helix.
+    foreign = tracks["dr"][later] - tracks["truth_dr"][later]
+    assert np.median(np.abs(foreign)) > 5e-3 * one.q68
+
+
+def test_classes_of_tracks_are_those_of_the_finder(curled):
+    for result in curled:
+        found = cg.study.finding(result)
+        np.testing.assert_array_equal(result.matches["match"], found.classes["belle2"][result.fitted["candidate"]])
+        np.testing.assert_array_equal(found.candidates.left, found.particles.hits[found.candidates.particle])
+        others = np.count_nonzero(result.matches["match"] == cg.MatchStatus.other_half_turn)
+        assert found.rates().loops.count == others
+
+
 def test_matches_count_the_first_half_turn(run_loops):
     """A track of the second half turn is all its particle's, and has no hit of the first one."""
     each = labelled(run_loops, lambda turn: turn)
@@ -269,3 +318,5 @@ def test_matches_count_the_first_half_turn(run_loops):
     )["matches"]  # fmt: skip
     assert matches["purity"].tolist() == [1] * 5
     assert matches["efficiency"].tolist() == [1, 0, 0, 0, 0]
+    assert matches["half_turn"].tolist() == [0, 1, 2, 3, 4]
+    assert [cg.MatchStatus(one).name for one in matches["match"]] == ["matched", *4 * ["other_half_turn"]]

@@ -79,6 +79,27 @@ def test_removed_rows_are_counted_by_name():
     assert "30 not_converged" in repr(found)
 
 
+def test_tracks_that_measure_no_first_half_turn_are_counted_by_class():
+    """Clones, daughters, other half turns and fakes widen nothing; a class counts where the fit ended well."""
+    match = np.zeros(N, np.int8)
+    kinds = ("clone", "decay_daughter", "other_half_turn", "fake")
+    match[:1], match[10:12], match[20:23], match[30:34] = (cg.MatchStatus[name] for name in kinds)
+    status = np.zeros(N, np.int8)
+    status[20] = FitStatus.not_converged
+    residual = rng().normal(0, 0.2, N)
+    residual[match != 0] = 1e9
+    tracks = make_tracks(status=status, match=match, res_dr=residual, pull_dr=residual / 0.2)
+    removed = (("not_converged", 1), ("clone", 1), ("decay_daughter", 2), ("other_half_turn", 2), ("fake", 4))
+    for found in (
+        resolution(tracks, "dr"), pulls(tracks)["dr"], resolution_against(tracks, "dr", "charge", [-2, 2]).values[0],
+        track_spectrum(tracks, "dr").resolution,
+    ):  # fmt: skip
+        assert found.removed == removed
+        assert (found.n, found.rms < 1000) == (N - 10, True)
+    assert track_spectrum(tracks, "dr").counts["all"].sum() <= N - 10
+    assert "2 other_half_turn, 4 fake" in repr(resolution(tracks, "dr"))
+
+
 def test_misspelt_names_get_a_hint():
     """Unknown parameters, quantities and empty windows are refused."""
     tracks = make_tracks(100)

@@ -23,7 +23,7 @@ def numbered(random: np.random.Generator, events: int, most: int, crossings: boo
     rows = {"event": event, "particle": random.integers(-1, 5, most).astype("i4")}
     return rows | {
         "daughter": random.choice([0, 0, 0, 1], most).astype("i4"),
-        "half_turn": random.choice([0, 0, 0, 1], most).astype("i1"),
+        "half_turn": random.choice([0, 0, 0, 0, 1, 2, -1], most).astype("i1"),
     }
 
 
@@ -79,6 +79,23 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
             own = [(late, first, weight) for (owner, late, first), weight in mine if owner == best]
             assert found["own"][candidate] == sum(weight for late, _, weight in own if not late)
             assert found["found"][candidate] == sum(weight for _, first, weight in own if first)
+            assert found["of_daughters"][candidate] == sum(weight for late, _, weight in own if late)
+            turned = Counter()
+            measured = set()
+            for i in np.flatnonzero(hits["candidate"] == candidate):
+                wire = view[i] == WIRE
+                owner, late, first = behind(wire, row[i])
+                if owner != best or late:
+                    continue
+                crossing = links[int(wire)][row[i]]
+                turned[int((cells if wire else truths)["half_turn"][crossing])] += 2 if view[i] == POINT else 1
+                if first:
+                    views = {WIRE: (f"wire hit {i}",), POINT: (0, 1)}.get(view[i], (int(view[i]),))
+                    measured |= {(crossing, one) for one in views}
+            assert found["of_loops"][candidate] == sum(weight for turn, weight in turned.items() if turn != 0)
+            common = min(turned, key=lambda turn: (-turned[turn], turn), default=0)
+            assert found["half_turn"][candidate] == common
+            assert found["crossings"][candidate] == len(measured)
     left = Counter()
     for i in range(120):
         owner, _, first = behind(False, i)
@@ -88,6 +105,16 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
         owner, _, first = behind(True, i)
         left[owner] += first
     assert found["left"].tolist() == [max(1, left[owner]) for owner in range(60)]
+    crossings = {
+        (0, clusters["truth"][i], one) for i in range(120) for one in (0, 1) if clusters["view"][i] in (one, 2)
+    }
+    crossings |= {(1, wires["wire_truth"][i], f"wire hit {i}") for i in range(200)}
+    seen = Counter()
+    for wire, crossing, _ in crossings:
+        if crossing >= 0:
+            table = cells if wire else truths
+            seen[rows[wire][crossing]] += int(table["daughter"][crossing] <= 0 and table["half_turn"][crossing] == 0)
+    assert found["crossings_left"].tolist() == [seen[owner] for owner in range(60)]
 
     candidates, chosen = random.integers(-1, 30, 60), np.flatnonzero(clusters["view"] < 2)[::2]
     given = _core.assign_hits(**tables, candidates=candidates, rows=chosen)

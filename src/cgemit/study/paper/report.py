@@ -12,9 +12,9 @@ from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import HEAD
 from cgemit.base.files import RECORD
 from cgemit.base.version import __version__
+from cgemit.chain.match import measuring
 from cgemit.chain.settings import Settings, finder_of, hits_text
 from cgemit.reconstruction.candidates import finder_name
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.paper.published import FIGURES, Group, PaperFigure, paper_values
 from cgemit.study.paper.results import Reproduction
@@ -37,8 +37,7 @@ def _hits_note(study: Reproduction) -> str:
 
 def _found(sample: Sample) -> int:
     """Return how many muons have a track."""
-    good = (sample.tracks["status"] == FitStatus.ok) & (sample.tracks["particle"] >= 0)
-    return len(np.unique(sample.tracks["event"][good]))
+    return len(np.unique(sample.tracks["event"][measuring(sample.tracks)]))
 
 
 def paper_report(study: Reproduction, folder: Path) -> str:
@@ -182,7 +181,7 @@ def _removed(study: Reproduction) -> TableOf:
         transport = ", ".join(f"{number:,} {name}" for name, number in sample.transport.items())
         unmatched = f"{sample.clusters.without_truth:,}"
         rows.append([sample.label, f"{sample.n_events:,}", fit, transport, unmatched])
-    heads = ("sample", "tracks", "not fitted", "end of transport", "clusters without truth")
+    heads = ("sample", "tracks", "left out", "end of transport", "clusters without truth")
     return TableOf(heads, rows, frozenset({1, 4}))
 
 

@@ -18,6 +18,7 @@ from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Listed, is_whole
 from cgemit.chain import run
+from cgemit.chain.match import measuring
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.covariance.analytic import covariance_at, entries_at
 from cgemit.covariance.result import Budget, Covariance, Entries, Widths, core_widths
@@ -248,7 +249,7 @@ def _simulated(
     gun = Gun(evaluation.particle, p=p, cos_theta=cos_theta)
     seed = seed_of(evaluation.seed, number)
     tracks = run.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, workers=1).tracks
-    good = tracks["status"] == FitStatus.ok
+    good = measuring(tracks)
     event = tracks["event"][good]
     point: dict[str, Any] = {"fitted": int(good.sum()), "events": evaluation.events}
     replicas: dict[str, list[float]] = {}

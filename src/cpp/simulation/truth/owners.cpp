@@ -1,6 +1,7 @@
 #include "simulation/truth/owners.hpp"
 
 #include <algorithm>
+#include <array>
 #include <numeric>
 #include <stdexcept>
 #include <string>
@@ -10,13 +11,14 @@
 namespace cgemit {
 namespace {
 
-constexpr std::int8_t xv_cluster = 2;
+constexpr std::int8_t x_view = 0, v_view = 1, xv_cluster = 2;
 
 // The particle behind a crossing; `late`: a daughter left it; `other`: so did it, or another half turn than
 // the first.
 struct Owner {
   std::int64_t row = -1;
   bool late = false, other = false;
+  std::int8_t half_turn = 0;
 };
 
 std::vector<Owner> owners(const NumberedRows& particles, const NumberedRows& crossings) {
@@ -24,7 +26,8 @@ std::vector<Owner> owners(const NumberedRows& particles, const NumberedRows& cro
   std::vector<Owner> found(rows.size());
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const bool late = crossings.daughter[i] > 0;
-    found[i] = {rows[i], late, crossings.daughter[i] != 0 || crossings.half_turn[i] != 0};
+    const std::int8_t turn = crossings.half_turn[i];
+    found[i] = {rows[i], late, crossings.daughter[i] != 0 || turn != 0, turn};
   }
   return found;
 }
@@ -82,6 +85,23 @@ std::vector<std::int64_t> particle_rows(const NumberedRows& particles, const Num
   return rows;
 }
 
+namespace {
+
+// Keys of the views of a crossing that a cluster measures.
+template <class F>
+void each_view(std::int64_t crossing, std::int8_t view, F&& f) {
+  if (view != v_view) f(2 * crossing);
+  if (view != x_view) f(2 * crossing + 1);
+}
+
+// Half turn with the most weight; the smallest of several.
+std::int8_t most_common(const std::array<std::int64_t, 256>& weights) {
+  const auto most = std::ranges::max_element(weights);
+  return static_cast<std::int8_t>(*most > 0 ? most - weights.begin() - 128 : 0);
+}
+
+}  // namespace
+
 MatchOutput match_hits(const MatchInput& in) {
   const std::vector<Owner> of_truth = owners(in.particles, in.truths),
                            of_crossing = owners(in.particles, in.wire_truths);
@@ -98,14 +118,39 @@ MatchOutput match_hits(const MatchInput& in) {
   for (const std::int64_t link : in.wire_truth) count(behind(of_crossing, link), 1);
   for (std::int64_t& hits : out.left) hits = std::max<std::int64_t>(hits, 1);
 
+  out.crossings_left.assign(in.particles.event.size(), 0);
+  const auto measure = [&](const Owner& owner) {
+    if (owner.row >= 0 && !owner.other) ++out.crossings_left[static_cast<std::size_t>(owner.row)];
+  };
+  std::vector<bool> seen(2 * of_truth.size(), false);
+  for (std::size_t i = 0; i < in.cluster_truth.size(); ++i) {
+    const std::int64_t link = in.cluster_truth[i];
+    if (link < 0) continue;
+    each_view(link, in.cluster_view[i], [&](std::int64_t key) {
+      const auto at = static_cast<std::size_t>(key);
+      if (!seen[at]) measure(behind(of_truth, link));
+      seen[at] = true;
+    });
+  }
+  for (const std::int64_t link : in.wire_truth) measure(behind(of_crossing, link));
+
   out.particle.assign(in.candidates, -1);
-  for (auto* column : {&out.own, &out.hits, &out.found}) column->assign(in.candidates, 0);
+  out.half_turn.assign(in.candidates, 0);
+  for (auto* column : {&out.own, &out.hits, &out.found, &out.of_daughters, &out.of_loops, &out.crossings})
+    column->assign(in.candidates, 0);
   struct Share {
     std::int64_t row, hits, late, found;
   };
-  std::vector<Share> shares;  // of the particles of a candidate
+  std::vector<Share> shares;        // of the particles of a candidate
+  std::vector<std::int64_t> views;  // of crossings that its clusters measure
+  std::array<std::int64_t, 256> turns{};
   const std::vector<std::size_t> order = by_candidate(in.candidate);
   const auto hit_at = [&](std::size_t i) { return order.empty() ? i : order[i]; };
+  const auto owner_of = [&](std::size_t hit) {
+    const auto row = static_cast<std::size_t>(in.row[hit]);
+    return in.view[hit] == wire_view ? behind(of_crossing, in.wire_truth[row])
+                                     : behind(of_truth, in.cluster_truth[row]);
+  };
   for (std::size_t first = 0, last; first < in.candidate.size(); first = last) {
     const std::int64_t number = in.candidate[hit_at(first)];
     const auto candidate = static_cast<std::size_t>(number);
@@ -113,10 +158,8 @@ MatchOutput match_hits(const MatchInput& in) {
     for (last = first; last < in.candidate.size(); ++last) {
       const std::size_t hit = hit_at(last);
       if (in.candidate[hit] != number) break;
-      const auto row = static_cast<std::size_t>(in.row[hit]);
       const int weight = in.view[hit] == point_view ? 2 : 1;
-      const Owner owner = in.view[hit] == wire_view ? behind(of_crossing, in.wire_truth[row])
-                                                    : behind(of_truth, in.cluster_truth[row]);
+      const Owner owner = owner_of(hit);
       out.hits[candidate] += weight;
       if (owner.row < 0) continue;
       auto share = std::ranges::find(shares, owner.row, &Share::row);
@@ -133,6 +176,27 @@ MatchOutput match_hits(const MatchInput& in) {
     out.particle[candidate] = most->row;
     out.own[candidate] = most->hits - most->late;
     out.found[candidate] = most->found;
+    out.of_daughters[candidate] = most->late;
+    views.clear();
+    turns.fill(0);
+    for (std::size_t i = first; i < last; ++i) {
+      const std::size_t hit = hit_at(i);
+      const Owner owner = owner_of(hit);
+      if (owner.row != most->row || owner.late) continue;
+      const int weight = in.view[hit] == point_view ? 2 : 1;
+      turns[static_cast<std::size_t>(owner.half_turn + 128)] += weight;
+      if (owner.half_turn != 0)
+        out.of_loops[candidate] += weight;
+      else if (in.view[hit] == wire_view)
+        ++out.crossings[candidate];
+      else
+        each_view(in.cluster_truth[static_cast<std::size_t>(in.row[hit])], in.view[hit],
+                  [&](std::int64_t key) { views.push_back(key); });
+    }
+    std::ranges::sort(views);
+    const auto repeated = std::ranges::unique(views);
+    out.crossings[candidate] += static_cast<std::int64_t>(views.size() - repeated.size());
+    out.half_turn[candidate] = most_common(turns);
   }
   return out;
 }

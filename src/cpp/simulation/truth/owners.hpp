@@ -33,11 +33,16 @@ struct MatchInput {
 };
 
 struct MatchOutput {
-  // Of each candidate: row of its particle, hits of it without those of its daughters, all hits, and those of
-  // the particle's first half turn. An XV cluster counts as two hits.
-  std::vector<std::int64_t> particle, own, hits, found;
-  std::vector<std::int64_t>
-      left;  // X and V clusters and wire hits of each particle's first half turn, at least 1
+  // Of each candidate: row of its particle, hits of it without those of its daughters, all hits, those of
+  // the particle's first half turn, of its daughters, and of its other half turns. An XV cluster counts as two
+  // hits.
+  std::vector<std::int64_t> particle, own, hits, found, of_daughters, of_loops;
+  std::vector<std::int8_t> half_turn;  // that most of its particle's own hits are of; 0 without any
+  // Measurements of the particle's first half turn in each candidate: crossings of a gap, counted per view
+  // however many clusters they have, and cells.
+  std::vector<std::int64_t> crossings;
+  // Of each particle, of its first half turn: X and V clusters and wire hits, at least 1; and measurements.
+  std::vector<std::int64_t> left, crossings_left;
 };
 
 // Throws std::invalid_argument where a hit of a candidate counts a row that is not there.

@@ -758,7 +758,7 @@ def test_resolutions_and_removed_rows_of_the_report(study, report):
         cells = dict(zip(head, row, strict=True))
         bad = len(sample.tracks) - np.count_nonzero(sample.tracks["status"] == 0)
         assert int(cells["tracks"].replace(",", "")) == sample.n_events
-        counts = [int(part.split()[0]) for part in cells["not fitted"].split(", ") if part != "none"]
+        counts = [int(part.split()[0]) for part in cells["left out"].split(", ") if part != "none"]
         assert sum(counts) == bad
         ends = {part.split()[1]: int(part.split()[0]) for part in cells["end of transport"].split(", ")}
         assert ends == dict(sample.transport)
