@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import os
 import re
+import subprocess
+import sys
+import warnings
 from array import array
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.errors import Problem, Problems, ProblemsError, did_you_mean
 from cgemit.base.files import check_regular, package
+from cgemit.particles import hepmc_process
 from cgemit.particles.species import KNOWN, UNKNOWN
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.formats import BY_SUFFIX
@@ -31,8 +36,11 @@ _UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"M
 # A line of HepMC has some 200 bytes. A packed file may be much larger than it looks: only unpacked ones have any size.
 _LONGEST_LINE, _MOST_UNPACKED = 1_000_000, 1_000_000_000
 
-_FINAL = 1  # status of a particle that the generator did not let decay
-_COLUMNS = {"pdg": np.int64, "hepmc_id": np.int64} | dict.fromkeys(("x", "y", "z", "px", "py", "pz"), np.float64)
+_DTYPES = {name: np.int64 if name in ("pdg", "hepmc_id") else np.float64 for name in hepmc_process.COLUMNS}
+
+
+class ParticleError(ProblemsError):
+    """Bad input about particles; `problems` lists every problem."""
 
 
 def read_hepmc(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], int]:
@@ -54,84 +62,162 @@ def read_hepmc(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], int]:
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    ParticleError
         If it is damaged or no HepMC file, does not name its units, or unpacks to more than 1 GB.
     """
     check_regular(path)
-    pyhepmc = package("pyhepmc")
-    expected = _events_of(path)
-    rows, event, number = array("d"), array("q"), 0  # 72 bytes a particle, less than its line
-    try:
-        with pyhepmc.open(str(path)) as stream:
-            for one in stream:
-                one.set_units(pyhepmc.Units.GEV, pyhepmc.Units.MM)
-                for particle in one.particles:
-                    if particle.status == _FINAL:
-                        rows.extend(_row(particle))
-                        event.append(number)
-                number += 1
-    except Exception as error:  # of pyhepmc: a damaged file is bad input, whatever notices it
-        raise ValueError(f"{path} is not a complete HepMC file ({error})") from error
-    if number != expected:
-        raise ValueError(f"{path} is not a complete HepMC file: {number} of its {expected} events can be read")
-    values = np.array(rows, np.float64).reshape(-1, len(_COLUMNS)).T
-    columns = {name: value.astype(dtype) for (name, dtype), value in zip(_COLUMNS.items(), values, strict=True)}
-    return {"event": np.array(event, np.int64), **columns}, number
+    if importlib.util.find_spec("pyhepmc") is None:
+        package("pyhepmc")  # says what installs it
+    # pyhepmc ends the process that reads some damaged files, so it reads in another one, which starts meanwhile.
+    command = [sys.executable, "-P", hepmc_process.__file__]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env=environment) as process:
+        try:
+            begins, counts = _events_of(path)
+            data, message = process.communicate(os.fsencode(path.absolute()))
+        except BaseException:
+            process.kill()
+            raise
+    values = np.frombuffer(data[: len(data) - len(data) % _ROW], np.float64).reshape(-1, 1 + len(_DTYPES))
+    is_end = values[:, 0] < 0
+    number = int(np.count_nonzero(is_end))
+    if process.returncode != 0:
+        refused = process.returncode == hepmc_process.REFUSED
+        reason = message.decode(errors="replace").strip() if refused else "pyhepmc ends the process that reads it"
+        _refuse(path, begins[number] if number < len(begins) else None, f"an event that cannot be read ({reason})")
+    if number != len(begins):
+        read = f"{number} of its {len(begins)} events can be read"
+        _refuse(path, begins[number] if number < len(begins) else None, f"an event that cannot be read: {read}")
+    read = values[is_end, 1].astype(np.int64)
+    lost = np.flatnonzero(read != counts)
+    if len(lost):
+        first = lost[0]
+        warnings.warn(
+            f"{path}: {read[first]} of the {counts[first]} particles of the event that begins in line {begins[first]} "
+            f"are read, of all events {read.sum()} of {sum(counts)}; vertices that no particle enters are left out",
+            stacklevel=3,
+        )
+    rows = values[~is_end].T
+    columns = {name: value.astype(dtype) for (name, dtype), value in zip(_DTYPES.items(), rows[1:], strict=True)}
+    return {"event": rows[0].astype(np.int64), **columns}, number
 
 
-def _row(particle: Any) -> tuple[float, ...]:
-    """Return the values of a particle in the order of the columns."""
-    vertex, momentum = particle.production_vertex, particle.momentum
-    point = (0.0, 0.0, 0.0) if vertex is None else (vertex.position.x, vertex.position.y, vertex.position.z)
-    return (particle.pid, particle.id, *point, momentum.px, momentum.py, momentum.pz)
+#: Bytes of a row of the other process.
+_ROW = 8 * (1 + len(_DTYPES))
 
 
-def _events_of(path: Path) -> int:
-    """Return the number of events that a file begins, each with units that are known.
+def _refuse(path: Path, line: int | None, given: str, expected: str = "a complete HepMC file") -> NoReturn:
+    """Raise the error about a line of a file, or the file as a whole."""
+    raise ParticleError(str(path), [Problem("" if line is None else f"line {line}", given, expected)])
 
-    pyhepmc ends in silence where it cannot go on, and takes GeV and mm where a file says nothing, or something else.
+
+def _events_of(path: Path) -> tuple[array[int], array[int]]:
+    """Return the lines that begin events, each with known units and all its lines, and their numbers of particles.
+
+    pyhepmc ends in silence where it cannot go on, takes GeV and mm where a file says nothing, or something else, and
+    takes particles for those of another vertex where lines are missing.
     """
+    if path.suffix == ".gz" and _unpacks_to_too_much(path):
+        most = f"{_MOST_UNPACKED / 1e6:.0f} MB"
+        _refuse(path, None, f"more than {most} unpacked", f"at most {most}: split it, or unpack it before")
+    begins, counts, event = array("q"), array("q"), _Event(path)
+    marked, ended, number = False, False, 0
     try:
-        if path.suffix == ".gz" and _unpacks_to_too_much(path):
-            most = f"{_MOST_UNPACKED / 1e6:.0f} MB"
-            raise ParticleError(
-                str(path), [Problem("", f"more than {most} unpacked", f"at most {most}: split it, or unpack it before")]
-            )
-        begun, named, ended, marked = 0, 0, False, False
-        units: set[bytes] = set()
         with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as stream:
             while line := stream.readline(_LONGEST_LINE):
+                number += 1
                 if len(line) == _LONGEST_LINE:
-                    raise ValueError(f"a line has more than {_LONGEST_LINE} bytes")
-                begun += line.startswith(b"E ")
-                if line.startswith(b"U "):
-                    units.add(line)
-                    named += 1
-                marked = marked or (line.startswith(b"HepMC::") and b"START_EVENT_LISTING" in line)
-                ended = (line.startswith(b"HepMC::") and b"END_EVENT_LISTING" in line) or (ended and not line.strip())
-    except ParticleError:
-        raise
-    except (OSError, EOFError, ValueError) as error:
-        raise ValueError(f"{path} is not a complete HepMC file ({error})") from error
+                    _refuse(path, number, f"a line of more than {_LONGEST_LINE} bytes")
+                key = line[:2]
+                if key == b"P ":
+                    event.particles += 1
+                elif key == b"V ":
+                    event.vertex(number, line)
+                elif key == b"E ":
+                    if begins:
+                        event.end(number)
+                        counts.append(event.particles)
+                    begins.append(number)
+                    event.begin(number, line)
+                elif key == b"U ":
+                    event.units(number, line)
+                elif line.startswith(b"HepMC::"):
+                    marked = marked or b"START_EVENT_LISTING" in line
+                    event.is_old = event.is_old or b"IO_GenEvent-START" in line
+                    ended = b"END_EVENT_LISTING" in line
+                    continue
+                ended = ended and not line.strip()
+    except (OSError, EOFError) as error:  # of an archive that is damaged
+        _refuse(path, None, str(error))
     if not marked or not ended:
-        what = "its last line does not end the list of events" if marked else "it does not begin a list of events"
-        raise ValueError(f"{path} is not a complete HepMC file: {what}")
-    wrong = sorted(line for line in units if tuple(line.split()[1:]) not in _UNITS)
-    if wrong:
-        text = wrong[0].decode("ascii", "replace").strip()
-        raise ValueError(f"{path}: got the units {text!r:.50}; expected GEV or MEV, then MM or CM")
-    if named < begun:
-        raise ValueError(f"{path}: {begun - named} of its {begun} events do not name their units; expected U lines")
-    return begun
+        what = "a last line that does not end the list of events" if marked else "no beginning of a list of events"
+        _refuse(path, number if marked else None, what)
+    if begins:
+        event.end(number)
+        counts.append(event.particles)
+    return begins, counts
+
+
+class _Event:
+    """Counts of the lines of an event, against those that its first line and its vertices announce."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.is_old = path, False  # HepMC2
+        self.first = self.vertices = self.particles = 0
+        self.expected: list[int] = []  # particles; in HepMC2 also vertices
+        self.has_units = True
+
+    def begin(self, number: int, line: bytes) -> None:
+        words = line.split()
+        self.first, self.vertices, self.particles, self.has_units = number, 0, 0, False
+        # E event vertices particles, or E event interactions scale alpha alpha process signal vertices ...
+        found = self._whole(number, words, (8,) if self.is_old else (3,))
+        self.expected = [0, *found] if self.is_old else found
+
+    def vertex(self, number: int, line: bytes) -> None:
+        self.vertices += 1
+        if self.is_old and self.first:
+            # V number id x y z ct orphans outgoing weights: their particles follow before the next vertex.
+            self._check(number, "particles", self.particles, self.expected[0])
+            self.expected[0] += sum(self._whole(number, line.split(), (7, 8)))
+
+    def units(self, number: int, line: bytes) -> None:
+        words = line.split()[1:]
+        if tuple(words) not in _UNITS:
+            text = line.decode("ascii", "replace").strip()
+            _refuse(self.path, number, f"the units {text!r:.50}", "GEV or MEV, then MM or CM")
+        self.has_units = True
+
+    def end(self, number: int) -> None:
+        """Refuse an event that ends before a line, and is not complete."""
+        if not self.has_units:
+            _refuse(self.path, self.first, "an event that does not name its units", "a U line")
+        self._check(number, "particles", self.particles, self.expected[0])
+        if self.is_old:
+            self._check(number, "vertices", self.vertices, self.expected[1])
+
+    def _check(self, number: int, what: str, found: int, expected: int) -> None:
+        if found != expected:
+            event = f"{found} {what} of the event that begins in line {self.first}"
+            _refuse(self.path, number, f"{event}, before this line", f"{expected}, as announced")
+
+    def _whole(self, number: int, words: list[bytes], places: tuple[int, ...]) -> list[int]:
+        """Return numbers of a line that count something."""
+        found = [int(words[i]) for i in places if i < len(words) and words[i].isdigit()]
+        if len(found) != len(places):
+            text = b" ".join(words).decode("ascii", "replace")
+            names = " and ".join(str(i + 1) for i in places)
+            _refuse(self.path, number, f"{text!r:.60}", f"a whole number in column {names}")
+        return found
 
 
 def _unpacks_to_too_much(path: Path) -> bool:
-    with gzip.open(path, "rb") as stream:
-        return stream.seek(_MOST_UNPACKED) == _MOST_UNPACKED and bool(stream.read(1))  # in small blocks
-
-
-class ParticleError(ProblemsError):
-    """Bad input about particles; `problems` lists every problem."""
+    try:
+        with gzip.open(path, "rb") as stream:
+            return stream.seek(_MOST_UNPACKED) == _MOST_UNPACKED and bool(stream.read(1))  # in small blocks
+    except (OSError, EOFError) as error:
+        _refuse(path, None, str(error))
 
 
 #: Largest coordinate (mm) and momentum (GeV/c) of a particle: far beyond any use, far from losing digits.

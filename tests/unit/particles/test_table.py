@@ -88,15 +88,15 @@ def test_hepmc_runs_as_the_same_columns_do(file: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda data: b"", "it does not begin a list of events"),
-        (lambda data: b"hello\n", "it does not begin a list of events"),
-        (lambda data: data[: len(data) // 2], "its last line does not end the list of events"),
-        (lambda data: data.replace(b"V -1 0 [1]", b"V x y z", 2), r"\d of its 4 events can be read"),
+        (lambda data: b"", "got no beginning of a list of events"),
+        (lambda data: b"hello\n", "got no beginning of a list of events"),
+        (lambda data: data[: len(data) // 2], r"line \d+: got a last line that does not end the list of events"),
+        (lambda data: data.replace(b"V -1 0 [1]", b"V x y z", 2), "line 3: got an event that cannot be read"),
     ],
 )
 def test_damaged_hepmc_is_refused(file: Path, change: Any, message: str) -> None:
     file.write_bytes(change(file.read_bytes()))
-    with pytest.raises(ValueError, match=rf"events.hepmc is not a complete HepMC file: {message}"):
+    with pytest.raises(ValueError, match=rf"events.hepmc: 1 problem\n  {message}.*, expected a complete HepMC file"):
         cg.run(DESIGN, file)
 
 
@@ -119,7 +119,7 @@ def test_hepmc_without_lines_is_refused_before_it_is_unpacked(file: Path, tmp_pa
     packed = tmp_path / "zeros.hepmc.gz"
     packed.write_bytes(gzip.compress(file.read_bytes() + bytes(50_000_000), 1))
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"is not a complete HepMC file .a line has more than 1000000 bytes"):
+    with pytest.raises(ValueError, match=r"line \d+: got a line of more than 1000000 bytes, expected a complete"):
         read_hepmc(packed)
     assert tracemalloc.get_traced_memory()[1] < 20_000_000
     tracemalloc.stop()
@@ -127,7 +127,7 @@ def test_hepmc_without_lines_is_refused_before_it_is_unpacked(file: Path, tmp_pa
 
 def test_other_damaged_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "events.hepmc.gz").write_bytes(b"no archive")
-    with pytest.raises(ValueError, match="is not a complete HepMC file"):
+    with pytest.raises(ValueError, match="expected a complete HepMC file"):
         particles_from(tmp_path / "events.hepmc.gz")
     with pytest.raises(FileNotFoundError):
         particles_from(tmp_path / "missing.hepmc")
@@ -217,14 +217,14 @@ def test_units_of_hepmc(units, px, tmp_path):
 def test_unknown_units_of_hepmc(units, tmp_path):
     path = tmp_path / "events.hepmc3"
     path.write_text(HEPMC.format(units=units))
-    with pytest.raises(ValueError, match=f"got the units 'U {units}'; expected GEV or MEV, then MM or CM"):
+    with pytest.raises(ValueError, match=f"line 4: got the units 'U {units}', expected GEV or MEV, then MM or CM"):
         read_hepmc(path)
 
 
 def test_hepmc_without_units(tmp_path):
     path = tmp_path / "events.hepmc3"
     path.write_text(HEPMC.replace("U {units}\n", ""))
-    with pytest.raises(ValueError, match="1 of its 1 events do not name their units"):
+    with pytest.raises(ValueError, match="line 3: got an event that does not name its units, expected a U line"):
         read_hepmc(path)
 
 
@@ -261,3 +261,129 @@ def test_columns_beside_those_of_particles():
     columns = {"mass": [0.1057, 0.1], "z": [2.0, 3.0], "vz": [9.0, 9.0], "px": np.ma.masked_array([1.0, 2.0])}
     table = particles_from({**MUONS, **columns})
     assert [table[name].tolist() for name in ("z", "px", "mass")] == [[2.0, 3.0], [1.0, 2.0], [0.1057, 0.1]]
+
+
+OLD_HEPMC = """HepMC::Version 2.06.09
+HepMC::IO_GenEvent-START_EVENT_LISTING
+E 0 -1 -1.0 -1.0 -1.0 0 0 2 1 2 0 0
+U GEV MM
+V -1 0 1 2 3 0 2 2 0
+P 1 11 0 0 1.5 1.5 0.0005 4 0 0 -1 0
+P 2 -11 0 0 -1.5 1.5 0.0005 4 0 0 -1 0
+P 3 310 0.5 0.25 0.5 0.9 0.4976 2 0 0 -2 0
+P 4 13 -0.5 -0.25 -0.5 0.8 0.105 1 0 0 0 0
+V -2 0 4 5 6 0 0 2 0
+P 5 211 0.25 0.5 -0.125 0.6 0.1396 1 0 0 0 0
+P 6 -211 0.25 -0.25 0.625 0.75 0.1396 1 0 0 0 0
+HepMC::IO_GenEvent-END_EVENT_LISTING
+"""
+NEW_HEPMC = """HepMC::Version 3.02.05
+HepMC::Asciiv3-START_EVENT_LISTING
+E 0 2 5
+U GEV MM
+P 1 0 443 0 0 0.2 3.1 3.0969 4
+V -1 0 [1] @ 1 2 3 0
+P 2 -1 310 0.5 0.25 0.5 0.9 0.4976 2
+P 3 -1 13 -0.5 -0.25 -0.5 0.8 0.105 1
+V -2 0 [2] @ 4 5 6 0
+P 4 -2 211 0.25 0.5 -0.125 0.6 0.1396 1
+P 5 -2 -211 0.25 -0.25 0.625 0.75 0.1396 1
+HepMC::Asciiv3-END_EVENT_LISTING
+"""
+
+
+@pytest.mark.parametrize(("name", "text"), [("a.hepmc2", OLD_HEPMC), ("a.hepmc3", NEW_HEPMC)])
+def test_hepmc_of_both_forms_gives_the_numbers_of_its_lines(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    columns, n_events = read_hepmc(tmp_path / name)
+    assert n_events == 1
+    order = np.argsort(-columns["pdg"])
+    assert columns["pdg"][order].tolist() == [211, 13, -211]
+    assert columns["x"][order].tolist() == [4.0, 1.0, 4.0]
+    assert columns["z"][order].tolist() == [6.0, 3.0, 6.0]
+    assert columns["px"][order].tolist() == [0.25, -0.5, 0.25]
+    assert columns["pz"][order].tolist() == [-0.125, -0.5, 0.625]
+
+
+KILLERS = [
+    # A vertex with the number 0.
+    ("a.hepmc2", OLD_HEPMC.replace("V -2 0", "V 0 0"), 3),
+    # Weights of a vertex that no particle enters.
+    ("a.hepmc2", OLD_HEPMC.replace(" 0 0 -2 0", " 0 0 0 0").replace("0 0 2 0\nP 5", "0 0 2 1 1.0\nP 5"), 3),
+    # A vertex that its own particle enters.
+    ("a.hepmc3", NEW_HEPMC.replace("V -2 0 [2] @ 4 5 6 0", "V -2 0 [4]"), 3),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "line"), KILLERS)
+def test_hepmc_that_ends_the_process_of_pyhepmc_is_refused(name: str, text: str, line: int, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ParticleError, match=rf"{name}: 1 problem\n  line {line}: got .*expected a complete HepMC file"):
+        read_hepmc(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.hepmc2", OLD_HEPMC.replace("P 6 -211 0.25 -0.25 0.625 0.75 0.1396 1 0 0 0 0\n", ""), "line 12: got 5 part"),
+        ("a.hepmc2", OLD_HEPMC.replace("-1.0 0 0 2 1", "-1.0 0 0 3 1"), "line 13: got 2 vertices of the event th"),
+        ("a.hepmc2", OLD_HEPMC.replace("5 6 0 0 2 0", "5 6 0 0"), "line 10: got 'V -2 0 4 5 6 0 0', expected a whole"),
+        ("a.hepmc3", NEW_HEPMC.replace("P 5 -2 -211 0.25 -0.25 0.625 0.75 0.1396 1\n", ""), "line 11: got 4 particles"),
+        ("a.hepmc3", NEW_HEPMC.replace("E 0 2 5", "E 0 2"), "line 3: got 'E 0 2', expected a whole number in column 4"),
+    ],
+)  # fmt: skip
+def test_hepmc_whose_lines_are_not_those_announced_is_refused(
+    name: str, text: str, message: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ParticleError, match=message):
+        read_hepmc(tmp_path / name)
+
+
+def test_particles_that_pyhepmc_leaves_out_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "a.hepmc2").write_text(OLD_HEPMC.replace(" 0 0 -2 0", " 0 0 0 0"))  # nothing enters the second vertex
+    with pytest.warns(UserWarning, match="a.hepmc2: 4 of the 6 particles of the event that begins in line 3 are read"):
+        assert read_hepmc(tmp_path / "a.hepmc2")[0]["pdg"].tolist() == [13]
+
+
+def damaged(text: str, random: np.random.Generator) -> str:
+    """Return a text of HepMC with lines doubled, dropped or exchanged, and words changed, dropped, added or cut."""
+    lines = text.split("\n")
+    for _ in range(random.choice([1, 1, 1, 2, 3])):
+        i, j = random.integers(2, len(lines) - 2, 2)
+        words = lines[i].split(" ")
+        word = int(random.integers(len(words)))
+        match random.integers(7):
+            case 0:
+                lines.insert(i, lines[i])
+            case 1:
+                del lines[i]
+            case 2:
+                lines[i], lines[j] = lines[j], lines[i]
+            case 3:
+                words[word] = str(random.choice(["-1", "0", "1", "3", "-2", "99", "1e300", "nan", "x", "2147483648"]))
+                lines[i] = " ".join(words)
+            case 4:
+                lines[i] = " ".join(words[:word] + words[word + 1 :])
+            case 5:
+                lines[i] = " ".join([*words[:word], str(random.choice(["1", "-1", "[3]", "@"])), *words[word:]])
+            case _:
+                lines[i] = lines[i][: random.integers(len(lines[i]) + 1)]
+        if len(lines) < 6:
+            break
+    return "\n".join(lines)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*are read, of all events:UserWarning")
+def test_no_damaged_hepmc_ends_the_process(tmp_path: Path) -> None:
+    random = np.random.default_rng(7)
+    refused = 0
+    for number in range(200):
+        name, text = (("a.hepmc2", OLD_HEPMC), ("a.hepmc3", NEW_HEPMC))[number % 2]
+        (tmp_path / name).write_text(damaged(text, random))
+        try:
+            read_hepmc(tmp_path / name)
+        except ParticleError:
+            refused += 1
+    assert 50 < refused < 200
