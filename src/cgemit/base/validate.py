@@ -54,11 +54,16 @@ def is_whole(given: object, least: int, most: int) -> bool:
 def check_whole(path: str, given: object, least: int, most: int, problems: Problems) -> None:
     """Note a value that is not a whole number within limits."""
     if not is_whole(given, least, most):
-        problems.note(path, repr(given), f"a whole number from {least} to {most}")
+        problems.note(path, f"{given!r:.80}", f"a whole number from {least} to {most}")
 
 
-def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[int | None, int, int]) -> None:
-    """Check whole numbers; None is allowed.
+def check_seed(seed: object, problems: Problems) -> None:
+    """Note a seed of random numbers that is none."""
+    check_whole("seed", seed, 0, 2**64 - 1, problems)
+
+
+def check_numbers(where: str, seed: int, threads: int | None = None, **others: tuple[int | None, int, int]) -> None:
+    """Check a seed and other whole numbers, of which None is allowed.
 
     Parameters
     ----------
@@ -75,9 +80,10 @@ def check_numbers(where: str, seed: int, threads: int | None, **others: tuple[in
         Listing every problem.
     """
     problems = Problems()
-    for name, (value, least, most) in {**others, "seed": (seed, 0, 2**64 - 1), "threads": (threads, 1, 2**15)}.items():
+    for name, (value, least, most) in {**others, "threads": (threads, 1, 2**15)}.items():
         if value is not None:
             check_whole(name, value, least, most, problems)
+    check_seed(seed, problems)
     problems.report(where)
 
 

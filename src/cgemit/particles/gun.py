@@ -12,7 +12,18 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.errors import Problems, WrongValueError, refuse
-from cgemit.base.validate import Axes, Check, InTurn, Spread, Value, ValueLike, check_fields, check_whole
+from cgemit.base.validate import (
+    Axes,
+    Check,
+    InTurn,
+    Spread,
+    Value,
+    ValueLike,
+    check_fields,
+    check_numbers,
+    check_seed,
+    check_whole,
+)
 from cgemit.particles.species import species
 from cgemit.particles.table import FARTHEST, FASTEST, ParticleError, particles_from
 from cgemit.tables import Table
@@ -186,6 +197,7 @@ class Gun(Source):
         number : int
             Of its first particle in each event.
         """
+        check_numbers("gun", seed)
         event = np.repeat(events, self.multiplicity)
         particle = np.tile(np.arange(number, number + self.multiplicity, dtype=np.int32), len(events))
         return _shoot(self, _Draws(seed, event, particle))
@@ -305,7 +317,7 @@ def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
 def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_event: int) -> None:
     problems = Problems()
     check_whole("n_events", n_events, 0, 2**31 - 1, problems)
-    check_whole("seed", seed, 0, 2**64 - 1, problems)
+    check_seed(seed, problems)
     check_whole("first_event", first_event, 0, 2**62, problems)
     for one in guns:
         if not isinstance(one, Source):

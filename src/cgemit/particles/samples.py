@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.errors import Problem, Problems, did_you_mean
-from cgemit.base.validate import Axes, InTurn, Quantity, Spread, Value, ValueLike, entries
+from cgemit.base.validate import Axes, InTurn, Quantity, Spread, Value, ValueLike, check_numbers, entries
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.particles.decay_chains import DEFINITIONS, NAMES, SHOT, Draws, Particles, decay_all, directions, mass_of
@@ -146,6 +146,7 @@ class EventSample(Source):
         number : int
             Of its first particle in each event.
         """
+        check_numbers("sample", seed)
         return self._shoot(seed, events, number, None)
 
     def within(self, detector: Detector) -> Source:
@@ -206,6 +207,7 @@ class _Within(Source):
         return self.sample.multiplicity
 
     def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
+        check_numbers("sample", seed)
         return self.sample._shoot(seed, events, number, self.matter)
 
 

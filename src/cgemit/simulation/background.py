@@ -15,7 +15,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, is_whole
+from cgemit.base.validate import Check, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
 from cgemit.detector.core import compiled, joined, strip_lists, strip_view
@@ -162,6 +162,7 @@ def add_background(
     >>> len(noisy["wire_hits"]) > 5 * len(r.wire_hits)
     True
     """
+    check_numbers("add_background", seed)
     level = level_of(detector, BackgroundSettings.of(settings))
     if settings.events:
         mixed = mix_events(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
@@ -484,9 +485,9 @@ def _argument_problems(digis: object, wire_hits: object, other: object, offset: 
     ends = [number_check(end) for end in offset] if isinstance(offset, Sequence | np.ndarray) else []
     if isinstance(offset, str) or len(ends) != 2 or not np.isfinite(ends).all() or ends[0] > ends[1]:
         problems.append(f"offset: got {offset!r:.50}, expected a range (low, high) of two numbers, ns")
-    if not is_whole(seed, 0, 2**64 - 1):
-        problems.append(f"seed: got {seed!r:.50}, expected a whole number from 0 to {2**64 - 1}")
-    return problems
+    of_seed = Problems()
+    check_seed(seed, of_seed)
+    return problems + [str(one) for one in of_seed]
 
 
 def _check(detector: Detector, tables: Mapping[str, Table]) -> None:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import one_of
+from cgemit.base.validate import check_numbers, one_of
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.core import in_dead_area, joined, strip_lists, strip_view
 from cgemit.detector.drift import (
@@ -209,6 +209,7 @@ def digitize(
     >>> len(tables["wire_hits"]) == len(r.wire_truths), bool((tables["digis"]["charge"] > 0).all())
     (True, True)
     """
+    check_numbers("digitize", seed)
     detector, settings = load(detector), DigitizeSettings.of(settings)
     if steps is None:
         steps = Table.empty("steps", **truths.cover)

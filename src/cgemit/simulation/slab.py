@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.errors import Problems, ProblemsError, WrongValueError, did_you_mean
-from cgemit.base.validate import check_whole
+from cgemit.base.validate import check_seed, check_whole
 from cgemit.detector.build import MaterialNameError, material_named
 from cgemit.detector.core import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
@@ -535,8 +535,8 @@ def _check(
         expected = f"layers of {THINNEST:g} mm or more, and finite"
         problems.note("matter", "no layer, or one without thickness", expected)
     kind, momentum = _kind(particle, problems), _momentum(p, problems)
-    for name, value, least, most in (("n", n, FEWEST, MOST), ("seed", seed, 0, 2**64 - 1)):
-        check_whole(name, value, least, most, problems)
+    check_whole("n", n, FEWEST, MOST, problems)
+    check_seed(seed, problems)
     if screening not in SCREENINGS:
         expected = "one of " + ", ".join(SCREENINGS)
         problems.note("screening", repr(screening), expected, did_you_mean(str(screening), SCREENINGS))

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from cgemit import _core
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check
+from cgemit.base.validate import Check, check_numbers
 from cgemit.detector import Detector, Screening, compiled, load
 from cgemit.particles.species import compiled_decays
 from cgemit.particles.table import check_particles
@@ -123,6 +123,7 @@ def simulate(
     (['decays', 'particles', 'steps', 'truths', 'wire_truths'], [5, 5, 5])
     """
     settings = SimulateSettings.of(settings)
+    check_numbers("simulate", seed)
     check_particles(particles)
     return transport(load(detector), particles, settings, seed)
 

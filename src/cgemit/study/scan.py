@@ -770,6 +770,7 @@ def scan_analytic(
     array([399., 194.])
     """
     start = time.perf_counter()
+    check_numbers("scan", seed, threads)
     gun = samples.gun_arguments(momenta, pt, particle, cos_theta, theta)
     orders = samples.momentum_orders(load(detector), **gun, events=0, seed=seed, settings=settings)
     first = orders[0]

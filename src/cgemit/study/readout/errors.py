@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from cgemit.analysis.widths import measure
 from cgemit.chain.run import run
+from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import MAX_B, drift_columns
 from cgemit.detector.parts import local_v
@@ -353,6 +354,7 @@ def fit_errors(
     progress : callable or None
         Called with the fraction done.
     """
+    check_numbers("fit_errors", seed, threads)
     timed = isinstance(readout, AnalogReadout)
     digitized = []
     for number in range(designs):
@@ -442,6 +444,7 @@ def pulls(
     designs, n, seed, threads
         See `fit_errors`.
     """
+    check_numbers("pulls", seed, threads)
     parts: list[tuple[npt.NDArray[Any], ...]] = []
     for number in range(designs):
         at = design(readout, 2 * number + 1)

@@ -18,6 +18,7 @@ from cgemit.analysis.quantities import X
 from cgemit.analysis.widths import Resolution, measure
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
+from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import transport
 from cgemit.detector.parts import CgemLayer
@@ -78,6 +79,7 @@ def beam_particles(detector: Detector, particle: str, p: float, angle: float, n:
     n : int
     seed : int
     """
+    check_numbers("beam_particles", seed)
     layer = detector.cgem[0]
     random = np.random.default_rng(seed)
     phi, z = random.uniform(-_SPREAD, _SPREAD, (2, n)) / np.array([[layer.r_mid], [1.0]])
@@ -162,6 +164,7 @@ def beam_views(
         GeV/c.
     threads : int or None
     """
+    check_numbers("beam_views", seed, threads)
     (samples, crossings), (other, _) = (
         _estimates(beam_run(detector, readout, angle, n=n, seed=one, particle=particle, p=p, threads=threads), angle)
         for one in (seed, seed + 1)
@@ -344,6 +347,7 @@ def scan(
     progress : callable or None
         Called with the fraction done after every value.
     """
+    check_numbers("scan", seed, threads)
     points = []
     for number, value in enumerate(values):
         detector, one, degrees = _setting(readout, quantity, float(value), angle, bz)
@@ -564,6 +568,7 @@ def scan_ghosts(
         Muons have |cos(theta)| up to this, uniformly, and any azimuth on the sheet.
     threads : int or None
     """
+    check_numbers("scan_ghosts", seed, threads)
     one = detector.cgem[layer]
     width = one.strips_x * one.pitch_x / one.r_readout
     edge = 0.0 if one.sheets == 1 else 0.15  # rad: muons turn on their way

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cgemit.base.errors import DetectorError, Problem, Problems, ProblemsError, did_you_mean
-from cgemit.base.validate import check_whole, is_whole
+from cgemit.base.validate import check_seed, check_whole, is_whole
 from cgemit.detector import Detector
 from cgemit.detector.keys import CELLS
 from cgemit.detector.variants import factor_of, values_at
@@ -221,7 +221,7 @@ def latin_hypercube(ranges: Mapping[str, Any], n: int, *, seed: int = 1) -> Spac
 def _sampled(kind: str, ranges: Mapping[str, Any], n_and_seed: tuple[int, int], points: Callable[[int], Any]) -> Space:
     problems = Problems()
     check_whole("n", n_and_seed[0], 1, _MOST, problems)
-    check_whole("seed", n_and_seed[1], 0, 2**64 - 1, problems)
+    check_seed(n_and_seed[1], problems)
     makers = {str(key): _maker(str(key), given, problems) for key, given in _by_key(ranges, problems).items()}
     _raise(problems, ranges)
     rows = points(len(ranges))
