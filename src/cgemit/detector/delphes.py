@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cgemit.base.errors import DetectorError, Problem
+from cgemit.base.errors import DetectorError, Problem, Problems
 from cgemit.base.files import read_text
-from cgemit.detector.build import library
+from cgemit.detector.build import library, read_contents
+from cgemit.detector.check import geometry_problems
 from cgemit.detector.material import x0_of_fractions
 from cgemit.detector.parts import Contents, Shell
 from cgemit.detector.readouts import GaussianReadout
@@ -22,6 +23,8 @@ CARD = ".tcl"
 _M = 1000.0  # mm
 _COLUMNS = 13
 _LONGEST = 10_000.0  # mm, of a layer or a cylinder
+_THICKEST = 50.0  # mm, of a layer
+_ROUNDING = 1e-5  # mm, of the numbers of a card
 _GAS = 10_000.0  # mm: matter with a longer radiation length is gas
 #: The thinnest gas that a detector file may have, a thousandth of air.
 _VACUUM = {"composition": "H2", "density": "1e-6 g/cm3", "gas": True}
@@ -40,6 +43,7 @@ class Row:
     x0: float
     stereo: tuple[float, float]
     sigma: tuple[float, float]
+    gas: bool = False  # of wires: as thin as need be
 
     @property
     def views(self) -> list[tuple[float, float]]:
@@ -64,20 +68,24 @@ def read_card(path: str | Path) -> dict[str, Any]:
     DetectorError
         If the card has no geometry, or rows that cannot be read.
     """
-    text = read_text(Path(path))
+    return _tables(read_text(Path(path)), str(path), Path(path).stem)
+
+
+def _tables(text: str, source: str, name: str) -> dict[str, Any]:
+    """Return the tables of the text of a card."""
     found = re.search(r"set\s+DetectorGeometry\s*\{(.*?)\}", text, re.DOTALL)
     if not found:
-        raise DetectorError(str(path), [Problem("", "no block DetectorGeometry", "a card with TrackCovariance")])
+        raise DetectorError(source, [Problem("", "no block DetectorGeometry", "a card with TrackCovariance")])
     field = re.search(r"^\s*set\s+Bz?\s+([-+.\deE]+)\s*$", text, re.MULTILINE)
     problems: list[Problem] = []
     if not field:
         problems.append(Problem("B", "no field", "a line such as: set B 2.0"))
     rows, disks = _rows(found[1], text[: found.start(1)].count("\n") + 1, problems)
     if problems:
-        raise DetectorError(str(path), problems)
+        raise DetectorError(source, problems)
     left = f"; left out: {len(disks)} disks ({', '.join(dict.fromkeys(disks))})" if disks else ""
     tables: dict[str, Any] = {
-        "name": Path(path).stem, "description": f"barrel of a Delphes card{left}",
+        "name": name, "description": f"barrel of a Delphes card{left}",
         "field": {"kind": "uniform", "bz": f"{float(field[1]) if field else 0.0} T"},
         "beam_pipe": {}, "walls": {}, "layer": {}, "materials": {"Air": _VACUUM},
     }  # fmt: skip
@@ -174,11 +182,17 @@ def card_of(detector: Contents) -> str:
     r"""Return the geometry of a detector as a block ``DetectorGeometry``, with the strength of the field before it.
 
     Clusters of CGEM layers have the errors of the readout ``gaussian``; a layer of wires is a cylinder at its radius
-    at z = 0 that measures along its stereo angle. What other layers measure by a pitch has its error.
+    at z = 0 that measures along its stereo angle, with the matter of its gas. The cylinder is so thin that it is
+    beside all others. What other layers measure by a pitch has its error.
 
     Parameters
     ----------
     detector : Contents
+
+    Raises
+    ------
+    DetectorError
+        If `read_card` would not read it as the same barrel, such as one with a layer at the radius of wires.
 
     Examples
     --------
@@ -188,28 +202,30 @@ def card_of(detector: Contents) -> str:
     set DetectorGeometry {
       # type label zmin zmax r w X0 n_meas th_up th_down reso_up reso_down flag; m, rad
     """
-    rows = sorted(_lines(detector))
+    rows = _parted(sorted(_written(detector), key=lambda row: row.radius))
     head = "  # type label zmin zmax r w X0 n_meas th_up th_down reso_up reso_down flag; m, rad"
-    return "\n".join(
-        [f"set B {detector.field.bz:g}", "set DetectorGeometry {", head, *(row for _, row in rows), "}", ""]
-    )
+    lines = map(_line, rows)
+    text = "\n".join([f"set B {detector.field.bz:g}", "set DetectorGeometry {", head, *lines, "}", ""])
+    _check_readable(text, rows, f"card of {detector.name}")
+    return text
 
 
-def _lines(detector: Contents) -> Iterator[tuple[float, str]]:
-    """Yield radius, mm, and row of every barrel layer of a card."""
+def _written(detector: Contents) -> Iterator[Row]:
+    """Yield every barrel layer of a card."""
     for group, cylinders in (("pipe", detector.beam_pipe), ("wall", detector.walls)):
         for part in cylinders:
-            yield _line(Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material), part.label)
+            shell = Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material)
+            yield _row((shell,), part.label)
     gem = GaussianReadout()
     for layer in detector.cgem:
         for shells in layer.stacks():
             views = [(0.0, gem.sigma_x), (layer.stereo, gem.sigma_v)] if shells[0].group == "drift" else []
-            yield _line_of(shells, f"{layer.label}-{shells[0].group}", views)
+            yield _row(shells, f"{layer.label}-{shells[0].group}", views)
     for sensor in detector.layer:
         x, v = sensor.errors
         measured = [(0.0, x)] * (x > 0) + [(sensor.stereo, v)] * (v > 0)
         for number, shells in enumerate(sensor.stacks()):
-            yield _line_of(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
+            yield _row(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
     chamber = detector.drift_chamber
     before = max([part.r_out for part in (*detector.walls, *detector.layers)], default=0.0)
     for wires in chamber.layers if chamber else ():
@@ -220,26 +236,51 @@ def _lines(detector: Contents) -> Iterator[tuple[float, str]]:
         gas = chamber.gas if chamber else None
         assert gas is not None
         shell = Shell("gas", "", wires.r_mid - 0.5 * width, wires.r_mid + 0.5 * width, wires.half_length, gas)
-        yield _line(shell, f"wires{wires.number}", [(tilt, wires.sigma)])
+        yield _row((shell,), f"wires{wires.number}", [(tilt, wires.sigma)], gas=True)
 
 
-def _line_of(shells: Sequence[Shell], label: str, views: Sequence[tuple[float, float]]) -> tuple[float, str]:
+def _parted(rows: Sequence[Row]) -> list[Row]:
+    """Return rows by radius with cylinders of gas so thin that they are beside others, with the same matter each."""
+    parted = []
+    for place, row in enumerate(rows):
+        width = row.thickness
+        for other in (*rows[max(place - 1, 0) : place], *rows[place + 1 : place + 2]) if row.gas else ():
+            apart = abs(row.radius - other.radius)
+            width = min(width, apart if other.gas else 2 * apart - other.thickness)
+        width = min(width, _THICKEST) if row.gas else width
+        thin = 0 < width < row.thickness
+        parted.append(replace(row, thickness=width, x0=row.x0 * width / row.thickness) if thin else row)
+    return parted
+
+
+def _check_readable(text: str, rows: Sequence[Row], source: str) -> None:
+    """Raise an error if a card would not be read as the same layers."""
+    problems, edge, below = Problems(), -math.inf, ""
+    for row in rows:
+        if row.radius - 0.5 * row.thickness < edge - _ROUNDING:
+            between = f"{row.radius - 0.5 * row.thickness:g} to {row.radius + 0.5 * row.thickness:g} mm"
+            problems.note(row.label, between, f"a cylinder beside {below}, which ends at {edge:g} mm")
+        edge, below = row.radius + 0.5 * row.thickness, row.label
+    problems.report(source, DetectorError)
+    tables = _tables(text, source, "card")
+    read = problems.collect(read_contents, source, tables, problems)
+    if read is not None:
+        problems.extend(geometry_problems(read.beam_pipe, read.cgem, read.layer, read.walls, read.drift_chamber))
+    problems.report(source, DetectorError)
+
+
+def _row(shells: Sequence[Shell], label: str, views: Sequence[tuple[float, float]] = (), *, gas: bool = False) -> Row:
     """Return the row of neighbouring shells, with their common thickness and radiation length."""
     thickness = sum(shell.thickness for shell in shells)
     x0 = thickness / sum(shell.x0 for shell in shells)
-    return _row(label, shells[0].half_length, 0.5 * (shells[0].r_in + shells[-1].r_out), thickness, x0, views)
+    (one, first), (other, second) = (*views, *[(0.0, 0.0)] * (2 - len(views)))
+    radius, name = 0.5 * (shells[0].r_in + shells[-1].r_out), re.sub(r"\s+", "-", label)
+    return Row(name, shells[0].half_length, radius, thickness, x0, (one, other), (first, second), gas)
 
 
-def _line(shell: Shell, label: str, views: Sequence[tuple[float, float]] = ()) -> tuple[float, str]:
-    return _line_of((shell,), label, views)
-
-
-def _row(
-    label: str, half: float, radius: float, thickness: float, x0: float, views: Sequence[tuple[float, float]]
-) -> tuple[float, str]:
-    angles = [angle for angle, _ in views] + [0.0] * (2 - len(views))
-    errors = [sigma / _M for _, sigma in views] + [0.0] * (2 - len(views))
-    lengths = (-half / _M, half / _M, radius / _M, thickness / _M, x0 / _M)
-    numbers = [*(f"{value:.9g}" for value in lengths), str(len(views))]
-    numbers += [f"{value:.9g}" for value in (*angles, *errors)]
-    return radius, "  " + " ".join(["1", re.sub(r"\s+", "-", label), *numbers, "1" if views else "0"])
+def _line(row: Row) -> str:
+    half, count = row.half_length, len(row.views)
+    lengths = (value / _M for value in (-half, half, row.radius, row.thickness, row.x0))
+    numbers = [*(f"{value:.9g}" for value in lengths), str(count)]
+    numbers += [f"{value:.9g}" for value in (*row.stereo, *(sigma / _M for sigma in row.sigma))]
+    return "  " + " ".join(["1", row.label, *numbers, "1" if count else "0"])

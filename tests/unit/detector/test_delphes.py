@@ -84,6 +84,61 @@ def test_a_detector_of_a_card_becomes_the_same_card(tmp_path):
         np.testing.assert_allclose(np.sqrt(np.diag(ours)), np.sqrt(np.diag(theirs)), rtol=1e-3)
 
 
+WIDE = {
+    "base": "besiii-cgem-design",
+    "drift_chamber": {
+        "half_length": "1500 mm", "sigma": "100 um",
+        "superlayers": {"A": {"layers": 8, "cells": "50 mm", "stereo": "50 mrad", "r_in": "270 mm"}},
+    },
+}  # fmt: skip
+
+
+def among_wires(radius):
+    """Return a detector with a thin layer of silicon among the wires of its chamber."""
+    return {
+        "base": "besiii-pixel",
+        "layer": {"W": {"radius": f"{radius} mm", "sigma": "55 um", "material": "Si"}},
+    }
+
+
+def matter(detector):
+    """Return X/X0 of all layers and cylinders, without the gas of wires."""
+    cylinders = sum((one.r_out - one.r_in) / one.material.x0 for one in (*detector.beam_pipe, *detector.walls))
+    return cylinders + sum(shell.x0 for layer in (*detector.cgem, *detector.layer) for shell in layer.shells())
+
+
+@pytest.mark.parametrize("source", [*cg.detectors(), WIDE, among_wires(548.9)], ids=lambda one: str(one)[:20])
+def test_a_card_that_is_written_is_read_as_the_same_barrel(tmp_path, source):
+    """Radii, angles, errors and matter of every row are those of the detector, and no row is cut by its neighbour."""
+    detector = cg.load(source)
+    path = tmp_path / "card.tcl"
+    path.write_text(card_of(detector))
+    again = cg.load(path)
+    wires = detector.drift_chamber.layers if detector.drift_chamber else ()
+    expected = [(one.r_mid, one.sigma) for one in wires]
+    expected += [(one.radius, max(one.errors)) for one in detector.layer if max(one.errors) > 0]
+    expected += [(0.5 * (one.r_gap_in + one.r_gap_out), 0.1387) for one in detector.cgem]
+    found = [(one.radius, max(one.errors)) for one in again.layer]
+    np.testing.assert_allclose(np.array(sorted(found))[:, 0], np.array(sorted(expected))[:, 0], atol=2e-2)
+    assert sorted(one for _, one in found) == pytest.approx(sorted(one for _, one in expected), rel=1e-6)
+    rows = [line.split() for line in path.read_text().splitlines() if line.lstrip().startswith("1 ")]
+    of_rows = sum(float(row[5]) / float(row[6]) for row in rows)
+    assert matter(again) == pytest.approx(of_rows, rel=1e-3)
+    fixed = matter(detector)
+    gas = detector.drift_chamber.gas.x0 if wires else math.inf
+    widths = [4 * math.pi * one.r_mid / one.cells / gas for one in wires]
+    assert fixed < of_rows <= fixed + sum(widths) + 1e-9 or (not wires and of_rows == pytest.approx(fixed))
+
+
+def test_a_layer_that_touches_wires_has_no_card():
+    """The cylinder of the wires would be thinner than a layer can be."""
+    detector = cg.load(among_wires(548.9))
+    wires = min(detector.drift_chamber.layers, key=lambda one: abs(one.r_mid - 548.9))
+    detector = cg.load(among_wires(wires.r_mid - 0.1501))
+    with pytest.raises(DetectorError, match=rf"layer.wires{wires.number}.thickness: got .* from 0.001 to 50 mm"):
+        card_of(detector)
+
+
 def test_a_card_of_wires_and_cgem_layers():
     """One row for each stack of a CGEM layer, cylinder and wire layer, with all radiation lengths."""
     detector = cg.load("besiii-cgem-design")
