@@ -14,6 +14,7 @@ from cgemit import helix
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector, compiled, load
+from cgemit.detector.parts import extent
 from cgemit.particles.species import HYPOTHESES, Species
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
@@ -197,9 +198,9 @@ Floats = npt.NDArray[np.float64]
 
 
 def starting_points(parameters: Floats, bz: float) -> Floats:
-    """Return the point across the beam where two circles cross or come closest, at the mean z of the helices there.
+    """Return the points across the beam where two circles cross, at the mean z of the helices there.
 
-    Of two crossings the one is taken at which the helices are closer in z.
+    Circles that do not cross have one point, half way between them where they are closest.
 
     Parameters
     ----------
@@ -210,7 +211,8 @@ def starting_points(parameters: Floats, bz: float) -> Floats:
 
     Returns
     -------
-    ndarray, (n, 3) float64, mm
+    ndarray, (n, 2, 3) float64, mm
+        The first is the one at which the helices are closer in z. The second is NaN where there is one.
     """
     dr, phi0, kappa = (parameters[..., i] for i in range(3))
     radius = helix.RADIUS_PER_KAPPA / ((bz or 1e-6) * kappa)
@@ -232,9 +234,11 @@ def starting_points(parameters: Floats, bz: float) -> Floats:
     middle = centre[:, 0] + foot[:, None] * along
     options = np.stack([middle + beside[:, None] * across, middle - beside[:, None] * across], axis=1)
     z = np.stack([_heights(parameters, options[:, k], bz) for k in range(2)], axis=1)
-    best = np.argmin(np.abs(z[..., 0] - z[..., 1]), axis=1)
-    rows = np.arange(len(best))
-    return np.concatenate([options[rows, best], z[rows, best].mean(axis=-1)[:, None]], axis=1)
+    points = np.concatenate([options, z.mean(axis=-1)[..., None]], axis=2)
+    points[beside == 0, 1] = np.nan
+    swap = (beside > 0) & (np.abs(z[:, 1, 0] - z[:, 1, 1]) < np.abs(z[:, 0, 0] - z[:, 0, 1]))
+    points[swap] = points[swap][:, ::-1]
+    return points
 
 
 def _heights(parameters: Floats, points: Floats, bz: float) -> Floats:
@@ -245,9 +249,15 @@ def _heights(parameters: Floats, points: Floats, bz: float) -> Floats:
     return np.asarray(np.where(np.isfinite(moved[:, 3]), moved[:, 3], 0.0).reshape(-1, 2))
 
 
-_ITERATIONS = 30
-_SETTLED = 1e-8  # of the chi-square by which the last step moved the vertex
+_ITERATIONS, _EASY = 100, 12  # after the easy ones, second derivatives are exact
+_DIFFERENCE = 1e-3  # mm
+_SETTLED = 1e-8  # of the chi-square that the next step would gain
+_ROUNDING = 1e-10  # of the chi-square
 _SINGULAR = 1e-14  # ratio of the eigenvalues of the inverse covariance
+_FIRST_DAMPING, _LEAST_DAMPING, _DAMPING_RATIO = 1e-3, 1e-6, 10.0
+_LONGEST = 0.5  # step, in radii of the smaller circle
+_ONE_VERTEX = 1e-3  # chi-square of the distance of two vertices that are told apart
+_COMPETING = 25.0  # largest difference of the chi-squares of two vertices that compete
 
 
 class VertexStatus(enum.IntEnum):
@@ -266,25 +276,38 @@ class VertexStatus(enum.IntEnum):
 
 
 class _Pairs(NamedTuple):
-    """Helices about the origin of both tracks of each pair: (n, 2, 5), (n, 2, 5, 5); masses (2,) GeV/c2; field, T."""
+    """Helices about the origin of both tracks of each pair: (n, 2, 5), (n, 2, 5, 5); masses (2,) GeV/c2; field, T.
+
+    `reach` is the largest radius and abs(z) of a vertex, mm.
+    """
 
     parameters: Floats
     cov: Floats
     masses: Floats
     bz: float
+    reach: tuple[float, float]
+
+    def inside(self, points: Floats) -> npt.NDArray[np.bool_]:
+        """Return which points are within the detector, of (..., 3) mm."""
+        radius, z = self.reach
+        return np.asarray((np.hypot(points[..., 0], points[..., 1]) <= radius) & (np.abs(points[..., 2]) <= z))
 
 
 class _Linear(NamedTuple):
     """The tracks of pairs about a pivot.
 
-    `measured` (n, 2, 2) is (dr, dz) there, `weight` its inverse covariance, `to_vertex` (n, 2, 2, 3) its derivative by
-    the vertex; `direction` (n, 2, 3) is (flight azimuth, kappa, tanl), `gain` (n, 2, 3, 2) how it follows `measured`,
+    `measured` (n, 2, 2) is (dr, dz) there, `weight` its inverse covariance, `to_vertex` (n, 2, 2, 3) minus its
+    derivative by the vertex, for the track through the vertex; `bend` (n, 2, 3, 3) is the part of the second
+    derivatives of half the chi-square that the curvature of the track makes, `radius` (n, 2) mm that of its circle;
+    `direction` (n, 2, 3) is (flight azimuth, kappa, tanl), `gain` (n, 2, 3, 2) how it follows `measured`,
     `rest` (n, 2, 3, 3) its covariance for given `measured`, and `turn` (n, 2, 3, 3) its derivative by the vertex.
     """
 
     measured: Floats
     weight: Floats
     to_vertex: Floats
+    bend: Floats
+    radius: Floats
     direction: Floats
     gain: Floats
     rest: Floats
@@ -302,7 +325,10 @@ def fit_vertices(
     """Fit the common vertex of pairs of tracks, and their mass.
 
     Least squares in the vertex and the directions and curvatures of both tracks there, with the full covariances of the
-    tracks. The helices are linearised about the vertex, which is repeated until it stays.
+    tracks. The helices are linearised about the vertex, which is repeated until it stays; the chi-square of no step
+    grows. The fit starts at both points where the circles of the tracks cross. The vertex has the smaller chi-square;
+    if the other start leads to another vertex whose chi-square is less than 25 larger, `other_chi2` and
+    `other_distance` tell of it. Outside of the detector, a vertex counts only where there is none inside.
 
     Parameters
     ----------
@@ -342,9 +368,10 @@ def fit_vertices(
     good &= np.isfinite(tracks["cov"][rows]).all(axis=(1, 2, 3))
     impact = tracks["cov"][rows][..., [[0], [3]], [0, 3]]  # which has an inverse
     good &= ((np.linalg.det(np.where(np.isfinite(impact), impact, 0.0)) > 0) & (impact[..., 0, 0] > 0)).all(axis=1)
-    bz = compiled(load(detector)).field.bz
+    chamber = load(detector)
+    bz = compiled(chamber).field.bz
     masses = np.array([kind.mass for kind in kinds])
-    some = _Pairs(parameters[good], tracks["cov"][rows[good]], masses, bz)
+    some = _Pairs(parameters[good], tracks["cov"][rows[good]], masses, bz, extent(chamber))
     found, status, iterations = _solved(some, beam_spot)
     columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in found.items()}
     for name, value in found.items():
@@ -367,24 +394,82 @@ def _solved(
 ) -> tuple[dict[str, Floats], npt.NDArray[np.int8], npt.NDArray[np.int32]]:
     """Return the columns of the fit, and the status and iterations of each pair."""
     n = len(pairs.parameters)
-    vertex = starting_points(pairs.parameters, pairs.bz)
-    status = np.full(n, int(VertexStatus.not_converged), np.int8)
-    iterations = np.zeros(n, np.int32)
-    cov = np.tile(np.eye(3), (n, 1, 1))
-    going = np.arange(n)
-    for _ in range(_ITERATIONS):
+    starts = starting_points(pairs.parameters, pairs.bz)
+    inside = pairs.inside(starts)
+    given = np.isfinite(starts).all(axis=2) & (inside | ~inside.any(axis=1, keepdims=True))
+    first = np.where(given[:, 0], 0, 1)
+    vertex, chi2, cov, status, iterations = _minimised(pairs, starts[np.arange(n), first], beam_spot)
+    # The other crossing, which wins with a smaller chi-square.
+    rows = np.flatnonzero(given.all(axis=1))
+    best = np.where((status[rows] == VertexStatus.ok) & pairs.inside(vertex[rows]), chi2[rows], np.inf)
+    found = _minimised(_some(pairs, rows), starts[rows, 1], beam_spot, worst=best + _COMPETING)
+    good = (found[3] == VertexStatus.ok) & pairs.inside(found[0])
+    better = good & (found[1] < best)
+    iterations[rows] += found[4]
+    apart = found[0] - vertex[rows]
+    square = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(cov[rows]), apart)
+    competing = good & np.isfinite(best) & (square > _ONE_VERTEX) & (np.abs(found[1] - best) < _COMPETING)
+    other = {"other_chi2": np.full(n, np.nan), "other_distance": np.full(n, np.nan)}
+    other["other_chi2"][rows[competing]] = np.maximum(found[1], best)[competing]
+    other["other_distance"][rows[competing]] = np.linalg.norm(apart[competing], axis=1)
+    for mine, one in zip((vertex, chi2, cov, status), found[:4], strict=True):
+        mine[rows[better]] = one[better]
+    ok = (status == VertexStatus.ok)[:, None]
+    return _results(pairs, np.where(ok, vertex, 0.0), cov, beam_spot) | other, status, iterations
+
+
+def _minimised(
+    pairs: _Pairs, start: Floats, beam_spot: BeamSpot | None, *, worst: Floats | None = None
+) -> tuple[Floats, Floats, Floats, npt.NDArray[np.int8], npt.NDArray[np.int32]]:
+    """Return vertices with the least chi-square from starting points, their chi-square, covariance, status, iterations.
+
+    Newton's method with the damping of Levenberg and Marquardt. Fits whose chi-square stays above `worst` (n,) end
+    early.
+    """
+    n, vertex = len(start), start.copy()
+    status, iterations = np.full(n, int(VertexStatus.not_converged), np.int8), np.zeros(n, np.int32)
+    cov, damping = np.tile(np.eye(3), (n, 1, 1)), np.zeros(n)
+    of = _linear(pairs, vertex)
+    chi2 = _chi2(of, vertex, beam_spot)
+    going = np.flatnonzero(np.isfinite(chi2))
+    status[np.isnan(chi2)] = VertexStatus.singular  # at the centre of a circle, as for tracks with the same one
+    for iteration in range(_ITERATIONS):
+        if iteration == _EASY and worst is not None:
+            going = going[chi2[going] <= worst[going]]
         if not len(going):
             break
-        some = pairs._replace(parameters=pairs.parameters[going], cov=pairs.cov[going])
-        step, cov[going], fine = _step(_linear(some, vertex[going]), vertex[going], beam_spot)
         iterations[going] += 1
-        status[going[~fine]] = VertexStatus.singular
-        vertex[going[fine]] += step[fine]
-        distance = np.einsum("ni,nij,nj->n", step[fine], np.linalg.inv(cov[going[fine]]), step[fine])
-        going, settled = going[fine][distance >= _SETTLED], going[fine][distance < _SETTLED]
-        status[settled] = VertexStatus.ok
-    ok = (status == VertexStatus.ok)[:, None]
-    return _results(pairs, np.where(ok, vertex, 0.0), cov, beam_spot), status, iterations
+        here, some = _Linear(*(part[going] for part in of)), _some(pairs, going)
+        second, scale, right = _normal(here, vertex[going], beam_spot)
+        if iteration >= _EASY:
+            second = _differences(some, vertex[going], beam_spot)
+        eigenvalues = np.linalg.eigvalsh(second)
+        fine = eigenvalues[:, 0] > _SINGULAR * eigenvalues[:, 2]
+        least = np.where(fine, 0.0, _LEAST_DAMPING)
+        gain = np.einsum(
+            "ni,ni->n", right, np.linalg.solve(second + least[:, None, None] * scale, right[..., None])[..., 0]
+        )
+        settled = (gain >= 0) & (gain < _SETTLED)
+        status[going[settled]] = np.where(fine[settled], VertexStatus.ok, VertexStatus.singular)
+        cov[going[settled & fine]] = np.linalg.inv(second[settled & fine])
+        damped = second + np.maximum(damping[going], least)[:, None, None] * scale
+        step = np.linalg.solve(damped, right[..., None])[..., 0]
+        usable = np.linalg.eigvalsh(damped)[:, 0] > 0
+        usable &= np.hypot(step[:, 0], step[:, 1]) <= _LONGEST * here.radius.min(axis=1)
+        usable &= ~settled
+        trial = vertex[going] + np.where(usable[:, None], step, 0.0)
+        there = _linear(some, trial)
+        value = _chi2(there, trial, beam_spot)
+        better = usable & (value <= chi2[going] + _ROUNDING * (1 + chi2[going]))
+        rows = going[better]
+        vertex[rows], chi2[rows] = trial[better], value[better]
+        for part, new in zip(of, there, strict=True):
+            part[rows] = new[better]
+        grown = np.maximum(damping[going] * _DAMPING_RATIO, _FIRST_DAMPING)
+        shrunk = np.where(damping[going] > _LEAST_DAMPING, damping[going] / _DAMPING_RATIO, 0.0)
+        damping[going] = np.where(better, shrunk, grown)
+        going = going[~settled]
+    return vertex, chi2, cov, status, iterations
 
 
 def _linear(pairs: _Pairs, pivot: Floats) -> _Linear:
@@ -395,46 +480,79 @@ def _linear(pairs: _Pairs, pivot: Floats) -> _Linear:
     parameters, cov = helix.change_pivot(flat, cov, np.zeros(3), each, pairs.bz)
     dr, phi0, kappa, dz, tanl = parameters.T
     ex, ey = np.cos(phi0), np.sin(phi0)
-    ux, uy = -ey, ex
     zero, one = np.zeros(2 * n), np.ones(2 * n)
-    to_vertex = np.stack([ex, ey, zero, -tanl * ux, -tanl * uy, one], axis=1).reshape(-1, 2, 3)
+    e, u, z = (np.stack(axis, axis=1) for axis in ((ex, ey, zero), (-ey, ex, zero), (zero, zero, one)))
     weight = np.linalg.inv(cov[:, [[0], [3]], [0, 3]])
+    measured = np.stack([dr, dz], axis=1)
     others = [[1], [2], [4]]
     across = cov[:, others, [0, 3]]
     gain = across @ weight
     rest = cov[:, others, [1, 2, 4]] - gain @ np.swapaxes(across, 1, 2)
+    # Displaced by x from the pivot: dr - e x, dz - x_z + tanl share (u x), with e and u turning by -bend (u x).
+    per_kappa = pairs.bz / helix.RADIUS_PER_KAPPA
+    share = 1 / (1 + per_kappa * kappa * dr)
+    bend = per_kappa * kappa * share
+    # The chi-square changes as (dr, dz) of the track through the pivot do: other direction, curvature and dr.
+    force = np.einsum("nab,nb->na", weight, measured)
+    d_phi, d_kappa, d_tanl = np.einsum("nia,na->in", gain, measured)
+    slope = tanl * share
+    d_slope = share * d_tanl - slope * share * per_kappa * (kappa * dr + dr * d_kappa)
+    by_dr = e - d_phi[:, None] * u
+    by_dz = z - (slope - d_slope)[:, None] * u - (slope * d_phi)[:, None] * e
+    to_vertex = np.stack([by_dr, by_dz], axis=1)
+    both = u[:, :, None] * e[:, None, :]
+    curved = (force[:, 0] * bend)[:, None, None] * u[:, :, None] * u[:, None, :]
+    curved += (force[:, 1] * slope * bend)[:, None, None] * (both + np.swapaxes(both, 1, 2))
     # The flight turns by w for each mm of arc; along it the vertex lies by u x beside the pivot.
-    w = -pairs.bz * kappa / helix.RADIUS_PER_KAPPA
+    w = -per_kappa * kappa
     turn = np.zeros((2 * n, 3, 3))
-    turn[:, 0, 0], turn[:, 0, 1] = w * ux, w * uy
+    turn[:, 0, :2] = w[:, None] * u[:, :2]
     direction = np.stack([phi0 + 0.5 * np.pi, kappa, tanl], axis=1)
-    parts = (np.stack([dr, dz], axis=1), weight, to_vertex, direction, gain, rest, turn)
+    radius = 1 / np.maximum(np.abs(per_kappa * kappa), 1e-12)
+    parts = (measured, weight, to_vertex, curved, radius, direction, gain, rest, turn)
     return _Linear(*(np.asarray(part, np.float64).reshape(n, 2, *part.shape[1:]) for part in parts))
 
 
-def _step(of: _Linear, pivot: Floats, beam_spot: BeamSpot | None) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
-    """Return the vertex from the pivot, its covariance, and whether it is determined."""
+def _some(pairs: _Pairs, rows: Rows) -> _Pairs:
+    return pairs._replace(parameters=pairs.parameters[rows], cov=pairs.cov[rows])
+
+
+def _differences(pairs: _Pairs, vertex: Floats, beam_spot: BeamSpot | None) -> Floats:
+    """Return the second derivatives of half the chi-square by the vertex, by differences of the first ones."""
+    columns = []
+    for step in _DIFFERENCE * np.eye(3):
+        up, down = (_normal(_linear(pairs, at), at, beam_spot)[2] for at in (vertex + step, vertex - step))
+        columns.append((down - up) / (2 * _DIFFERENCE))
+    second = np.stack(columns, axis=2)
+    return np.asarray(0.5 * (second + np.swapaxes(second, 1, 2)))
+
+
+def _chi2(of: _Linear, vertex: Floats, beam_spot: BeamSpot | None) -> Floats:
+    chi2 = np.einsum("npa,npab,npb->n", of.measured, of.weight, of.measured)
+    if beam_spot is not None:
+        chi2 = chi2 + np.sum(np.square((vertex - beam_spot.position) / beam_spot.sigma), axis=1)
+    return np.asarray(chi2)
+
+
+def _normal(of: _Linear, vertex: Floats, beam_spot: BeamSpot | None) -> tuple[Floats, Floats, Floats]:
+    """Return second derivatives of half the chi-square by the vertex, what damps them, and minus the first ones."""
     inverse = np.einsum("npai,npab,npbj->nij", of.to_vertex, of.weight, of.to_vertex)
     right = np.einsum("npai,npab,npb->ni", of.to_vertex, of.weight, of.measured)
     if beam_spot is not None:
         weight = 1 / np.square(beam_spot.sigma)
         inverse = inverse + np.diag(weight)
-        right = right + weight * (np.array(beam_spot.position) - pivot)
-    finite = np.isfinite(inverse).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    inverse = np.where(finite[:, None, None], inverse, np.eye(3))
-    eigenvalues = np.linalg.eigvalsh(inverse)
-    fine = finite & (eigenvalues[:, 0] > _SINGULAR * eigenvalues[:, 2])
-    cov = np.linalg.inv(np.where(fine[:, None, None], inverse, np.eye(3)))
-    step = np.einsum("nij,nj->ni", cov, np.where(fine[:, None], right, 0.0))
-    return step, cov, fine
+        right = right + weight * (np.array(beam_spot.position) - vertex)
+    # Turns about the beam line change nothing: x and y are damped alike.
+    across = 0.5 * (inverse[:, 0, 0] + inverse[:, 1, 1])
+    scale = np.zeros_like(inverse)
+    scale[:, 0, 0], scale[:, 1, 1], scale[:, 2, 2] = across, across, inverse[:, 2, 2]
+    return inverse + of.bend.sum(axis=1), scale, right
 
 
 def _results(pairs: _Pairs, vertex: Floats, cov: Floats, beam_spot: BeamSpot | None) -> dict[str, Floats]:
     """Return chi-square, momentum and mass of pairs at their vertices."""
     of = _linear(pairs, vertex)
-    chi2 = np.einsum("npa,npab,npb->n", of.measured, of.weight, of.measured)
-    if beam_spot is not None:
-        chi2 = chi2 + np.sum(np.square((vertex - beam_spot.position) / beam_spot.sigma), axis=1)
+    chi2 = _chi2(of, vertex, beam_spot)
     # At the vertex: direction and curvature, conditional on the tracks' passing through it.
     azimuth, kappa, tanl = np.moveaxis(of.direction - np.einsum("npia,npa->npi", of.gain, of.measured), -1, 0)
     pt = 1 / np.abs(kappa)

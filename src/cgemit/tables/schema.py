@@ -213,7 +213,9 @@ VERTICES = (
     real("err_mass", "GeV/c2", "its standard deviation"),
     real("chi2", "", "chi-square of the fit"),
     whole("ndf", "number of degrees of freedom"),
-    whole("iterations", "number of iterations"),
+    real("other_chi2", "", "chi-square of a second vertex of the tracks that competes (less than 25 more); NaN: none"),
+    real("other_distance", "mm", "distance of the second vertex; NaN: none"),
+    whole("iterations", "number of iterations, from all starting points"),
     column_of("i1", "status", "", "how the fit ended (VertexStatus; 0 is good)"),
 )
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
@@ -16,6 +16,7 @@ from cgemit.analysis.vertices import with_truth
 from cgemit.chain.match import compare
 from cgemit.particles.gun import generate
 from cgemit.particles.species import species
+from cgemit.particles.table import particles_from
 from cgemit.reconstruction.fit import FitStatus, fit
 from cgemit.reconstruction.vertex import begin_at_vertices
 from cgemit.tables import SCHEMAS
@@ -185,6 +186,91 @@ def test_the_fit_is_the_least_squares_of_all_parameters() -> None:
         assert 2 * best.cost == pytest.approx(found["chi2"][row], abs=2e-2)
         cov = np.linalg.inv(best.jac.T @ best.jac)[:3, :3]
         assert np.allclose(cov / np.outer(errors, errors), found["cov"][row] / np.outer(errors, errors), atol=2e-2)
+
+
+def about(helices: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return (dr, dz) of helices about a point: the circle's centre stays, the arc to the closest point is followed."""
+    dr, phi0, kappa, dz, tanl = helices.T
+    radius = helix.RADIUS_PER_KAPPA / (BZ * kappa)
+    x, y = ((dr + radius) * of(phi0) - at for of, at in ((np.cos, point[0]), (np.sin, point[1])))
+    turn = np.arctan2(np.sign(radius) * y, np.sign(radius) * x) - phi0
+    turn = np.remainder(turn + np.pi, 2 * np.pi) - np.pi
+    return np.stack([np.sign(radius) * np.hypot(x, y) - radius, dz - radius * tanl * turn - point[2]], axis=1)
+
+
+def chi2_at(point: np.ndarray, helices: np.ndarray, cov: np.ndarray) -> float:
+    """Return the sum of m' V^-1 m, m = (dr, dz) about the point, V by differences of the parameters."""
+    steps, total = np.diag([1e-4, 1e-7, 1e-6, 1e-4, 1e-6]), 0.0
+    for one, errors in zip(helices, cov, strict=True):
+        values = about(np.concatenate([one[None], one + steps, one - steps]), point)
+        slopes = (values[1:6] - values[6:]) / (2 * np.diag(steps)[:, None])
+        total += float(values[0] @ np.linalg.solve(slopes.T @ errors @ slopes, values[0]))
+    return total
+
+
+def minima(helices: np.ndarray, cov: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Return chi-square and point of the minima that Nelder and Mead's method finds, the best first.
+
+    It starts where the circles cross, or in the middle between them where they are closest.
+    """
+    radius = helix.RADIUS_PER_KAPPA / (BZ * helices[:, 2])
+    centre = (helices[:, 0] + radius)[:, None] * np.stack([np.cos(helices[:, 1]), np.sin(helices[:, 1])], axis=1)
+    apart = np.hypot(*(centre[1] - centre[0]))
+    along = (centre[1] - centre[0]) / apart
+    foot = (apart**2 + radius[0] ** 2 - radius[1] ** 2) / (2 * apart)
+    half2 = radius[0] ** 2 - foot**2
+    foot = foot if half2 > 0 else 0.5 * (abs(radius[0]) + apart - abs(radius[1]))
+    found: list[tuple[float, np.ndarray]] = []
+    for shift in np.sqrt(half2) * np.array([-1, 1]) if half2 > 0 else [0.0]:
+        x, y = centre[0] + foot * along + shift * np.array([-along[1], along[0]])
+        start = np.array([x, y, about(helices, np.array([x, y, 0.0]))[:, 1].mean()])
+        how = {"xatol": 1e-5, "fatol": 1e-9, "maxiter": 4000}
+        best = minimize(chi2_at, start, (helices, cov), "Nelder-Mead", options=how)
+        if all(np.linalg.norm(best.x - point) > 0.1 for _, point in found):
+            found.append((best.fun, best.x))
+    return sorted(found, key=lambda one: one[0])
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.02])
+def test_pairs_that_leave_their_vertex_almost_parallel(opening: float) -> None:
+    """As of photon conversions: the vertex is the best minimum, also where circles do not meet; a second one shows."""
+    random, n = np.random.default_rng(3), 300
+    phi = np.repeat(random.uniform(-np.pi, np.pi, n), 2)
+    p, tanl = np.tile([0.5, 0.4], n), np.full(2 * n, 0.1)
+    azimuth, tanl = phi + opening * random.normal(size=2 * n), tanl + opening * random.normal(size=2 * n)
+    particles = particles_from(
+        {
+            "event": np.repeat(np.arange(n), 2), "pdg": np.tile([-13, 13], n), "px": p * np.cos(azimuth),
+            "py": p * np.sin(azimuth), "pz": p * tanl, "x": 20 * np.cos(phi), "y": 20 * np.sin(phi), "z": 0 * phi,
+        }
+    )  # fmt: skip
+    tracks, _ = tracks_of(particles, smear=7)
+    found = cg.fit_vertices(DETECTOR, tracks, particles=("mu", "mu"))
+    assert np.all(found["status"] == 0)
+    # No point around the vertex is better.
+    helices = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)
+    rows = np.stack([found["first"], found["second"]], axis=1)
+    points, two = np.stack([found[axis] for axis in "xyz"], axis=1), np.isfinite(found["other_chi2"])
+    assert 0.2 < np.mean(two) < 0.6
+    for i in [*np.flatnonzero(two)[:5], *np.flatnonzero(~two)[:5]]:
+        pair = helices[rows[i]], tracks["cov"][rows[i]]
+        assert found["chi2"][i] == pytest.approx(chi2_at(points[i], *pair), rel=1e-5, abs=1e-5)
+        best, *others = minima(*pair)
+        assert found["chi2"][i] == pytest.approx(best[0], abs=1e-5)
+        if others and others[0][0] - best[0] > 1e-3:  # else either is the best
+            assert np.linalg.norm(points[i] - best[1]) < 0.05 * max(found[f"err_{axis}"][i] for axis in "xyz")
+        assert bool(others) == two[i]
+        if others:
+            assert found["other_chi2"][i] == pytest.approx(others[0][0], abs=1e-4)
+            distance = np.linalg.norm(others[0][1] - best[1])
+            assert found["other_distance"][i] == pytest.approx(distance, abs=0.1)
+    # A vertex without a competitor is where its errors say.
+    along = np.stack([np.cos(phi[::2]), np.sin(phi[::2])], axis=1)[found["event"]]
+    off = np.einsum("ni,ni->n", points[:, :2], along) - 20
+    err = np.sqrt(np.einsum("ni,nij,nj->n", along, found["cov"][:, :2, :2], along))
+    alone = ~two
+    assert np.mean(np.abs(off / err)[alone] > 3) < 0.05
+    assert np.mean(np.abs(off / err)[two] > 3) > 0.1  # as the second vertex warns
 
 
 def test_rotations_and_order_change_nothing() -> None:
