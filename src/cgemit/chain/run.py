@@ -271,7 +271,11 @@ def finder_of_run(job: Job, truths: Truths) -> Finder:
     job : Job
     truths : Truths
     """
-    return job.finder if callable(job.finder) else FINDERS[job.finder](job.settings.find, truths)
+    return (
+        job.finder
+        if callable(job.finder)
+        else FINDERS[job.finder](job.settings.find, fit_settings(job.settings), truths)
+    )
 
 
 def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:

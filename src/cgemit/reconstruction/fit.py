@@ -231,7 +231,7 @@ def fit(
     [1. 1. 1. 1. 1.] ['ok']
     """
     detector, settings = load(detector), FitSettings.of(settings)
-    core = _compiled(detector, settings)
+    core = compiled_matter(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()
     candidate, pdg, mass = _with_hypotheses(candidates, names)
@@ -279,13 +279,20 @@ def compiled_for_fit(detector: Detector, settings: FitSettings, kept: Detector |
     kept : Detector or None
         Of which this one is a variant with the same hits (`with_hits_of`).
     """
-    core = _compiled(detector, settings)
+    core = compiled_matter(detector, settings)
     if kept is not None and settings.matter:
-        core = with_hits_of(_compiled(kept, settings), core, detector.layers)
+        core = with_hits_of(compiled_matter(kept, settings), core, detector.layers)
     return core.beginning_at(settings.start_radius) if settings.start_radius else core
 
 
-def _compiled(detector: Detector, settings: FitSettings) -> _core.Detector:
+def compiled_matter(detector: Detector, settings: FitSettings) -> _core.Detector:
+    """Return the compiled detector with the matter that the fit assumes for tracks from the beam line.
+
+    Parameters
+    ----------
+    detector : Detector
+    settings : FitSettings
+    """
     screening = settings.screening or SCREENINGS[0]
     return compiled(
         detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
@@ -315,7 +322,7 @@ def core_arguments(
         Arguments of ``_core.fit`` by name.
     """
     return {
-        "detector": _compiled(detector, settings),
+        "detector": compiled_matter(detector, settings),
         "hit_offsets": hits.hit_offsets,
         "hits": hits.columns(),
         "mass": mass,

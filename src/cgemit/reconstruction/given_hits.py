@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from cgemit.reconstruction.candidates import (
 )
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
-from cgemit.reconstruction.find.ckf import find_tracks
+from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import RefineSettings, refinements
@@ -266,6 +267,8 @@ def fit_hits(
     hypothesis: str = "mu",
     settings: FitSettings | None = None,
     refine: RefineSettings | None = None,
+    cluster: ClusterSettings | None = None,
+    find: FindSettings | None = None,
 ) -> dict[str, Table]:
     """Fit tracks to hits of any origin, given as columns in any order of rows; what is not needed may be left out.
 
@@ -288,6 +291,10 @@ def fit_hits(
     settings : FitSettings or None
     refine : RefineSettings or None
         Whether drift times are raw, and whether tracks give the start time; hits then need `drift_time` (ns).
+    cluster : ClusterSettings or None
+        Reference sample for the errors of clusters that are given by their strips.
+    find : FindSettings or None
+        Of the finder, only with ``candidates="ckf"``.
 
     Returns
     -------
@@ -315,9 +322,12 @@ def fit_hits(
         problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
     if isinstance(candidates, str) and candidates != "ckf":
         problems.append(f"candidates: got {candidates!r}, expected 'ckf', a finder, tables or None")
-    hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None)
+    if find is not None and not isinstance(candidates, str):
+        problems.append("find: got settings of the finder, expected None unless candidates is 'ckf'")
+    how, sought, fitted = RefineSettings.of(refine, "refine"), FindSettings.of(find, "find"), FitSettings.of(settings)
+    hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None, settings=cluster)
     if candidates == "ckf":
-        candidates = find_tracks
+        candidates = partial(find_tracks, settings=sought, fit=fitted)
     elif candidates is None:
         labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
         candidates = label_candidates(*hits, labels[0], labels[1], hypothesis)
@@ -327,9 +337,9 @@ def fit_hits(
         assert tables is not None
         return tables
 
-    finder, how = candidates if callable(candidates) else given, RefineSettings.of(refine, "refine")
+    finder = candidates if callable(candidates) else given
     made = reconstruct(
-        detector, *hits, finder, settings, refinements=refinements(how), find_again=how.find_again and tables is None
+        detector, *hits, finder, fitted, refinements=refinements(how), find_again=how.find_again and tables is None
     )
     return {"clusters": hits[0], "wire_hits": hits[1], **made}
 
@@ -342,6 +352,7 @@ def hit_tables(
     *,
     labelled: bool = True,
     events: Column | None = None,
+    settings: ClusterSettings | None = None,
 ) -> tuple[Table, Table]:
     """Return the tables of clusters and wire hits given as columns, as for `fit_hits`.
 
@@ -355,12 +366,15 @@ def hit_tables(
         Whether the column `candidate`, or else the event, says which hits belong together.
     events : ndarray, (n,) int64, or None
         Events that the tables cover; None: those with hits.
+    settings : ClusterSettings or None
+        Reference sample for the errors of clusters that are given by their strips.
 
     Raises
     ------
     ValueError
         Listing everything that is wrong.
     """
+    reference = ClusterSettings.of(settings, "cluster")
     given = {
         "clusters": read("clusters", clusters, ("layer",), problems),
         "wire_hits": read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
@@ -373,7 +387,8 @@ def hit_tables(
             problems.append(f"{bare[0]}: have no column '{label}', as the {named[0]} have; expected both or none")
     _raise(problems)
     with np.errstate(invalid="ignore"):  # infinite numbers are listed below
-        columns = _cluster_columns(detector, given["clusters"], problems), _wire_columns(detector, given["wire_hits"])
+        of_clusters = _cluster_columns(detector, given["clusters"], reference, problems)
+        columns = of_clusters, _wire_columns(detector, given["wire_hits"])
     _raise(problems)
     wrong = value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
     wrong += drift_problems(detector, given["wire_hits"])
@@ -405,7 +420,7 @@ def _raise(problems: list[str], unlisted: int = 0) -> None:
         raise ValueError("fit_hits:\n  " + "\n  ".join(lines))
 
 
-def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) -> Columns:
+def _cluster_columns(detector: Detector, given: Columns, settings: ClusterSettings, problems: list[str]) -> Columns:
     """Return X, V and their errors of each row, whichever way they are given, and the other columns."""
     n = len(given["layer"])
     has = given.keys()
@@ -429,7 +444,7 @@ def _cluster_columns(detector: Detector, given: Columns, problems: list[str]) ->
     columns["sheet"] = _sheets(detector, columns, "sheet" in has, problems)
     for name, value in (("first", -1), ("last", -1), ("size", 0)):
         columns[name] = given.get(name, np.full(n, value)).copy()
-    errors = cluster_errors(without_layers(detector), ClusterSettings()) if "first" in has else None
+    errors = cluster_errors(without_layers(detector), settings) if "first" in has else None
     of_cgem = strip_view(detector).number
     for number, layer in enumerate(detector.layers):
         rows = np.flatnonzero(given["layer"] == number)

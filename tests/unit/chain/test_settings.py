@@ -14,6 +14,7 @@ from cgemit.base.validate import kinds_of
 from cgemit.chain.settings import BY_STAGE
 from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find import ckf
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.tables import Table
 
@@ -82,20 +83,20 @@ CASES: dict[str, Case] = {
     "find.min_score": Case(30.0, FOUND),
     "find.max_seeds": Case(1, FOUND, BUSY),
     "find.annealing": Case(False, FOUND, BUSY),
-    "fit.cluster_errors": Case("cluster", FITTED),
+    "fit.cluster_errors": Case("cluster", FOUND),
     "fit.screening": Case("moliere", FITTED),
     "fit.loss": Case("mean", FITTED),
     "fit.momentum_error": Case(0.01, FITTED),
     "fit.radiation": Case(False, FITTED, {"fit.hypothesis": "e"}),
-    "fit.matter": Case(False, FITTED),
+    "fit.matter": Case(False, FOUND),
     "fit.start_radius": Case(100.0, FITTED),
     "fit.residuals": Case(True, ("residuals",)),
     "fit.states": Case(("hits",), ("states",)),
     "fit.hypothesis": Case("pi", FITTED),
     "fit.max_iterations": Case(1, FITTED),
     "fit.tolerance": Case(5.0, FITTED),
-    "fit.least_width": Case(0.5, FITTED),
-    "fit.delta_strips": Case(0.2, FITTED),
+    "fit.least_width": Case(0.5, FOUND),
+    "fit.delta_strips": Case(0.2, FOUND),
     "fit.kinks": Case(False, FITTED),
     "fit.outlier_pull": Case(2.5, FITTED),
     "fit.prior_sigma": Case((1.0, 0.05, 0.5, 1.0, 0.2), FITTED),
@@ -224,3 +225,90 @@ def test_settings_of_a_readout_change_what_they_are_for(name: str) -> None:
         }
         found[key] = tuple(which for which, on in changed.items() if on)
     assert found == {key: changed for key, (_, changed) in cases.items()}
+
+
+#: Settings of the fit that its finder takes, too; the others say what the fit does with the hits.
+OF_FINDER = {
+    *("cluster_errors", "screening", "loss", "momentum_error", "radiation", "matter", "least_width", "delta_strips"),
+}
+
+
+def test_the_finder_assumes_matter_and_cluster_errors_of_the_fit(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:
+    """By the scores of candidates, in which each number of matter and errors shows: radiation only for electrons."""
+    hits, scores, search = tables((), folder, "cluster"), [], ckf._core.find_tracks
+
+    def with_scores(*given: Any, **named: Any) -> Any:
+        found = search(*given, **named)
+        scores.append(found["score"].tobytes())
+        return found
+
+    monkeypatch.setattr(ckf._core, "find_tracks", with_scores)
+    cases = {key.removeprefix("fit."): case.value for key, case in CASES.items() if key.startswith("fit.")}
+    seen = set()
+    for name, value in cases.items():
+        for fit in (cg.FitSettings(), cg.FitSettings(**{name: value})):
+            cg.find_tracks(DETECTOR, hits["clusters"], hits["wire_hits"], cg.FindSettings(hypothesis="e"), fit=fit)
+        if scores[-1] != scores[-2]:
+            seen.add(name)
+    assert seen == OF_FINDER
+
+
+@pytest.mark.slow
+def test_settings_reach_the_fit_of_given_hits(folder: str) -> None:
+    """`fit_hits` takes settings of the fit, refinements, cluster errors and finder; each changes what it makes."""
+    found = tables((("digitize.wire_times", "raw"),), folder, "cluster")
+    strips = {name: found["clusters"][name] for name in ("event", "layer", "sheet", "view", "first", "last", "size")}
+    strips = {name: column[strips["view"] < 2] for name, column in strips.items()}
+    wires = {name: found["wire_hits"][name] for name in ("event", "layer", "wire", "drift", "sigma", "drift_time")}
+    own: dict[str, Mapping[str, Any]] = {
+        "cluster": {"settings": cg.FitSettings(cluster_errors="cluster")},
+        "refine.start_time_error": {"refine": cg.RefineSettings(drift_times="raw", start_time="fitted")},
+        "refine.find_again": {"refine": cg.RefineSettings(drift_times="raw", start_time="fitted")},
+        "fit.radiation": {"settings": cg.FitSettings(hypothesis="e")},
+    }
+    kinds = {"cluster": cg.ClusterSettings, "find": cg.FindSettings, "fit": cg.FitSettings, "refine": cg.RefineSettings}
+    #: Clusters that are given by their strips have no charge, and are joined already.
+    no_effect = {"cluster.position", "cluster.bridge"}
+    unseen = set()
+    for key, case in CASES.items():
+        stage, name = key.split(".")
+        if stage not in kinds:
+            continue
+        how = dict(own.get(key, own.get(stage, {})))
+        argument = "settings" if stage == "fit" else stage
+        before = how.get(argument, kinds[stage]())
+        if stage != "refine":
+            how.setdefault("refine", cg.RefineSettings(drift_times="raw"))
+        made = [
+            cg.fit_hits(DETECTOR, strips, wires, candidates="ckf", **how | {argument: one})
+            for one in (before, replace(before, **{name: case.value}))
+        ]
+        if not any(differ(made[0].get(table), made[1].get(table)) for table in {*made[0], *made[1]}):
+            unseen.add(key)
+    assert unseen == no_effect
+
+
+def test_find_settings_without_the_finder_are_refused() -> None:
+    with pytest.raises(ValueError, match="find: got settings of the finder, expected None unless candidates is 'ckf'"):
+        cg.fit_hits(DESIGN, find=cg.FindSettings())
+
+
+#: Settings of the fit that say nothing of the covariance: how a fit gets there, and what it makes beside it. Clusters
+#: have the errors of their size, and tracks a mass of their own.
+NOT_ANALYTIC = {
+    *("cluster_errors", "residuals", "states", "hypothesis", "max_iterations", "tolerance", "kinks", "outlier_pull"),
+}
+
+
+@pytest.mark.slow
+def test_settings_of_the_fit_reach_the_analytic_resolution() -> None:
+    cases = {key.removeprefix("fit."): case.value for key, case in CASES.items() if key.startswith("fit.")}
+    unseen = set()
+    for name, value in cases.items():
+        covariances = [
+            cg.analytic(DESIGN, "e-", p=0.3, cos_theta=0.3, fit=fit, threads=1).cov.tobytes()
+            for fit in (cg.FitSettings(), cg.FitSettings(**{name: value}))
+        ]
+        if covariances[0] == covariances[1]:
+            unseen.add(name)
+    assert unseen == NOT_ANALYTIC

@@ -10,6 +10,7 @@ from cgemit.reconstruction.candidates import Finder
 from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
 from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.find.truth import by_truth, link_problems, own_clusters, particle_rows, residuals
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import Table
 
 __all__ = [
@@ -35,19 +36,19 @@ class Truths(NamedTuple):
     wire_truths: Table
 
 
-def _truth(settings: FindSettings, truths: Truths) -> Finder:
+def _truth(settings: FindSettings, fit: FitSettings, truths: Truths) -> Finder:
     def truth(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
         return by_truth(truths.detector, truths.particles, clusters, wire_hits, truths.truths, truths.wire_truths)
 
     return truth
 
 
-def _ckf(settings: FindSettings, truths: Truths) -> Finder:
+def _ckf(settings: FindSettings, fit: FitSettings, truths: Truths) -> Finder:
     def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
-        return find_tracks(detector, clusters, wire_hits, settings)
+        return find_tracks(detector, clusters, wire_hits, settings, fit=fit)
 
     return ckf
 
 
-#: Finders by name: functions that make one from the settings and the truths of a run.
-FINDERS: dict[str, Callable[[FindSettings, Truths], Finder]] = {"truth": _truth, "ckf": _ckf}
+#: Finders by name: functions that make one from the settings of finder and fit, and the truths of a run.
+FINDERS: dict[str, Callable[[FindSettings, FitSettings, Truths], Finder]] = {"truth": _truth, "ckf": _ckf}

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
-from cgemit.detector import Detector, MeasurementLayer, compiled, load
+from cgemit.detector import Detector, MeasurementLayer, load
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
-from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.fit import FitSettings, compiled_matter
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
@@ -124,6 +124,8 @@ def find_tracks(
     clusters: Table,
     wire_hits: Table,
     settings: FindSettings | None = None,
+    *,
+    fit: FitSettings | None = None,
 ) -> dict[str, Table]:
     """Find the tracks of each event from its clusters and wire hits; links to truths are not read.
 
@@ -134,6 +136,9 @@ def find_tracks(
     clusters, wire_hits : Table
         Of the same events, in any order within an event.
     settings : FindSettings or None
+    fit : FitSettings or None
+        Of the fit of the candidates. The finder assumes its matter (`screening`, `loss`, `momentum_error`, `radiation`,
+        `matter`) and its errors of clusters (`cluster_errors`, `least_width`, `delta_strips`).
 
     Returns
     -------
@@ -154,13 +159,13 @@ def find_tracks(
     >>> found["candidates"]["event"].tolist()
     [0, 1, 2, 3, 4]
     """
-    detector, settings = load(detector), FindSettings.of(settings)
+    detector, settings, fit = load(detector), FindSettings.of(settings), FitSettings.of(fit, "fit")
     problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
     if not problems and not clusters.covers_as(wire_hits):
         problems = ["wire_hits: cover other events than the clusters; expected the same"]
     if problems:
         raise ValueError("find_tracks:\n  " + "\n  ".join(problems))
-    event, view, hits, points, number = _measurements(clusters, wire_hits)
+    event, view, hits, points, number = _measurements(clusters, wire_hits, by_size=fit.cluster_errors == "track")
     order = np.argsort(event, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
@@ -168,15 +173,15 @@ def find_tracks(
     offsets = np.searchsorted(event[order], np.append(clusters.events, np.iinfo(np.int64).max)).astype(np.int64)
     hits = {name: np.ascontiguousarray(column[order]) for name, column in hits.items()}
     found = _core.find_tracks(
-        compiled(detector, gaps=False), event_offsets=offsets, hits=hits, settings=_core_settings(settings),
+        compiled_matter(detector, fit), event_offsets=offsets, hits=hits, settings=_core_settings(settings, fit),
         pairs=_pairs(detector, clusters, number, points),
     )  # fmt: skip
     return _tables(found, clusters, view[order], hits["row"], points, settings)
 
 
-def _core_settings(settings: FindSettings) -> dict[str, Any]:
+def _core_settings(settings: FindSettings, fit: FitSettings) -> dict[str, Any]:
     """Return the fields of the core's settings."""
-    values, fit = {field.name: getattr(settings, field.name) for field in fields(settings)}, FitSettings()
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
     method, hypothesis = values.pop("method"), values.pop("hypothesis")
     return values | {
         "segments": method in ("combined", "segments"), "chamber": method != "segments",
@@ -196,19 +201,21 @@ class _Points(NamedTuple):
 _SAME = 0.01
 
 
-def _measurements(clusters: Table, wire_hits: Table) -> tuple[Column, Column, dict[str, Column], _Points, Column]:
+def _measurements(
+    clusters: Table, wire_hits: Table, *, by_size: bool
+) -> tuple[Column, Column, dict[str, Column], _Points, Column]:
     """Return event, view in `candidate_hits`, and columns of all measurements: X, V, and wires; points; and numbers.
 
     An XV cluster is left out if its X and V clusters are in the table. Otherwise it is a point, whose X and V may be
     those of others, too: each is one measurement, as is a cluster that is given twice. The numbers are those of the
-    measurements of X and V clusters, (clusters,) int64.
+    measurements of X and V clusters, (clusters,) int64. `by_size`: errors of clusters of strips follow from their size.
     """
     unknown = np.flatnonzero(~np.isin(clusters["view"], (HIT_X, HIT_V, XV_CLUSTER)))
     if len(unknown):
         view = clusters["view"][unknown[0]]
         raise ValueError(f"find_tracks: clusters row {unknown[0]}: view: got {view}, expected 0, 1 or 2")
     points = (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] < 0)
-    size = clusters["size"] * (clusters["method"] == 0) * (clusters["view"] != XV_CLUSTER)
+    size = clusters["size"] * (clusters["method"] == 0) * (clusters["view"] != XV_CLUSTER) * by_size
     x, v = (np.flatnonzero((clusters["view"] == view) | points) for view in (HIT_X, HIT_V))
     (first_x, of_x), (first_v, of_v) = (
         _merged(clusters, rows, points[rows], size[rows], name) for rows, name in ((x, "x"), (v, "v"))
