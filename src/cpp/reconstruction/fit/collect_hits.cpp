@@ -27,7 +27,11 @@ class Collector {
  public:
   Collector(const Detector& detector, const CandidateInput& candidates, const ClusterInput& clusters,
             const WireInput& wires)
-      : rules_(detector), candidates_(candidates), clusters_(clusters), wires_(wires) {}
+      : layers_(detector.layers),
+        rules_(detector),
+        candidates_(candidates),
+        clusters_(clusters),
+        wires_(wires) {}
 
   CollectedHits run() {
     count();
@@ -190,6 +194,16 @@ class Collector {
     }
   }
 
+  // Whether X and V of one sheet cross on it, or hardly beyond its ends. At a seam of a sheet with itself
+  // they may be from the two sides of the seam, which share no electrons.
+  bool cross(const Entry& x, const Entry& v) const {
+    constexpr double margin = 10;  // mm
+    const int index = rules_.index(x.kind, x.layer);
+    if (index < 0) return false;
+    const MeasuringLayer& layer = layers_[static_cast<std::size_t>(index)];
+    return std::abs(crossing_z(layer, x.value, v.value)) <= layer.half_length + margin;
+  }
+
   // Takes from each V cluster what it has in common with the X cluster of the same crossing: one with no
   // other cluster of the sheet in the candidate.
   void part_views() {
@@ -201,7 +215,7 @@ class Collector {
       Entry& v = entries_[j];
       const bool pair = x.kind == 0 && v.kind == 1 && alike(j - 1, j) && (j < 2 || !alike(j - 2, j)) &&
                         (j + 1 == entries_.size() || !alike(j, j + 1));
-      if (!pair || x.row == v.row) continue;  // of one row: an XV cluster
+      if (!pair || x.row == v.row || !cross(x, v)) continue;  // of one row: an XV cluster
       const double rho = clusters_.corr_xv[static_cast<std::size_t>(v.row)];
       if (!(std::abs(rho) < 1)) {
         problems_.add("clusters row " + std::to_string(v.row) + ": corr_xv: got " + to_text(rho) +
@@ -215,6 +229,7 @@ class Collector {
     }
   }
 
+  const std::vector<MeasuringLayer>& layers_;
   HitRules rules_;
   const CandidateInput& candidates_;
   const ClusterInput& clusters_;
