@@ -166,7 +166,7 @@ def _place_variance(layer: CgemLayer, readout: AnalogReadout, drift: dict[str, f
 
 def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
     variance = _gain_variance(readout)
-    values, apart, times = [], [], []
+    values, apart, times, logs = [], [], [], []
     drift = drift_columns(detector) if isinstance(readout, AnalogReadout) else None
     for number, layer in enumerate(detector.cgem):
         mean = float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * layer.drift_gap
@@ -174,6 +174,7 @@ def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
         values.append([table.shares(mean * path, _NUMBERS, variance) for path in _PATHS])
         numbers = table.quantiles(mean)
         apart.append(math.sqrt(2) * float(np.std(np.log(numbers))))
+        logs.append(float(np.mean(np.log(numbers))))
         velocity = 1.0 if drift is None else float(drift["velocity"][number])
         height = layer.drift_gap**2 / 12 * float(np.mean(table.shares(mean, numbers, variance)))
         times.append(math.sqrt(2 * height) / velocity)
@@ -183,6 +184,7 @@ def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
         "values": np.array(values, np.float64).ravel(),
         "charges_apart": np.array(apart, np.float64),
         "times_apart": np.array(times, np.float64),
+        "log_numbers": np.array(logs, np.float64),
     }
 
 

@@ -144,7 +144,7 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                       delay = array(delays, "delays"), share_paths = array(shares, "paths"),
                       numbers = array(shares, "numbers"), values = array(shares, "values"),
                       charges_apart = array(shares, "charges_apart"),
-                      times_apart = array(shares, "times_apart");
+                      times_apart = array(shares, "times_apart"), log_numbers = array(shares, "log_numbers");
   const py::ssize_t points = n == 0 ? 2 : charges.size() / (2 * rows);
   if (points < 2 || spreads.size() < 1) throw std::invalid_argument("delays: expected charges and times");
   const ChargeTimeModel model{
@@ -153,7 +153,8 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                  column(delay, "delays", 2 * rows * spreads.size() * points),
                  static_cast<std::size_t>(points)},
       .errors = {chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows),
-                 column(charges_apart, "charges_apart", rows), column(times_apart, "times_apart", rows)},
+                 column(charges_apart, "charges_apart", rows), column(times_apart, "times_apart", rows),
+                 column(log_numbers, "log_numbers", rows)},
       .estimator = estimator_of(estimator),
       .missing = missing,
       .mask = StripMask(detector, column(masked, "masked"), bridge),
@@ -183,7 +184,7 @@ py::array_t<double> expected_variances(const py::dict& chip, const py::dict& pla
   const auto rows = array(planes, "pitch").size();
   const std::vector<PlaneErrors> by_plane = plane_errors(planes, static_cast<std::size_t>(rows));
   const ChargeErrors errors{
-      chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows / 2), {}, {}};
+      chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows / 2), {}, {}, {}};
   if ((view != 0 && view != 1) || layer >= static_cast<std::size_t>(rows / 2)) {
     throw std::invalid_argument("view, layer: expected one of the detector");
   }

@@ -95,16 +95,24 @@ double ChargeErrors::common(const PlaneErrors& plane, std::size_t layer, const C
          largest * square(delta_range(std::sqrt(largest) * number));
 }
 
+double ChargeErrors::cut_variance(int view, std::size_t layer, const ChargeMoments& charge,
+                                  Direction direction) const {
+  const PlaneErrors& at = plane(view, layer);
+  // Strips lose charge anywhere where the charge fluctuates along the path, else at the ends.
+  const double along = square(direction.slope) * (square(at.gap) / 12);
+  const double usual = along + at.cloud + at.diffusion + square(at.pitch) / 12;
+  const double lost =
+      square(at.threshold / charge.charge) * (chip.gain_variance > 0 ? square(charge.strips) * along : usual);
+  return chip.cut * lost;
+}
+
 double ChargeErrors::of_centroid(int view, std::size_t layer, const ChargeMoments& charge,
                                  Direction direction) const {
   const PlaneErrors& at = plane(view, layer);
-  const double heights = square(at.gap) / 12;
-  const double usual = square(direction.slope) * heights + at.cloud + at.diffusion + square(at.pitch) / 12;
-  // Strips lose charge anywhere where the charge fluctuates along the path, else at the ends.
-  const double along = square(direction.slope) * heights;
-  const double lost =
-      square(at.threshold / charge.charge) * (chip.gain_variance > 0 ? square(charge.strips) * along : usual);
-  return chip.ionization * along * shares.at(layer, direction.path, electrons(charge)) + chip.cut * lost +
+  const double along = square(direction.slope) * (square(at.gap) / 12);
+  const double usual = along + at.cloud + at.diffusion + square(at.pitch) / 12;
+  return chip.ionization * along * shares.at(layer, direction.path, electrons(charge)) +
+         cut_variance(view, layer, charge, direction) +
          common(at, layer, charge, direction.path, charge.xx - usual);
 }
 

@@ -79,6 +79,8 @@ struct ChargeErrors {
   ShareTable shares;
   // By layer: mean of ln(charge) differences of two particles, and their times' (ns).
   std::span<const double> charges_apart, times_apart;
+  // By layer: mean ln(number of electrons) of a particle along the radius.
+  std::span<const double> log_numbers;
 
   const PlaneErrors& plane(int view, std::size_t layer) const {
     return planes[static_cast<std::size_t>(view) * planes.size() / 2 + layer];
@@ -94,6 +96,8 @@ struct ChargeErrors {
   double of_charge_line(int view, std::size_t layer, const ChargeMoments& charge, Direction direction,
                         double slope_variance) const;
   double of_free_line(int view, std::size_t layer, const ChargeMoments& charge, Direction direction) const;
+  // The part of the variance of a centroid by charge below the threshold.
+  double cut_variance(int view, std::size_t layer, const ChargeMoments& charge, Direction direction) const;
   // `span`: see above.
   OwnSlope own_slope(const PlaneErrors& plane, const ChargeMoments& charge, double span) const;
   // Of a cluster with a number of electrons that is as wide as expected. `of_track`: its slope is known.

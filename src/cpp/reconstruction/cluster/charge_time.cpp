@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <vector>
 
+#include "reconstruction/cluster/lost_charge.hpp"
 #include "reconstruction/cluster/strip_runs.hpp"
 #include "reconstruction/cluster/view_reconstruction.hpp"
 
@@ -76,6 +78,9 @@ double path_at(const MeasuringLayer& layer, double z) {
 
 class ChargeTimeClusters {
  public:
+  // Errors of clusters beside masked strips say what these have lost.
+  static constexpr bool knows_lost_charge = true;
+
   ChargeTimeClusters(const DigiView& digis, const ChargeTimeModel& model) : digis_(digis), model_(model) {}
 
   // Whether the strip fired while electrons of the event may have arrived.
@@ -112,7 +117,7 @@ class ChargeTimeClusters {
       throw std::invalid_argument("slopes: expected one for each cluster");
     }
     const ViewReconstruction plane = plane_of(layer, cluster);
-    sheet_.push_back({plane.strips(digis_, run), {}});
+    sheet_.push_back({plane.strips(digis_, run), {}, ends_of(layer, run, cluster), {}});
     sheet_.back().charge = charge_at(plane, sheet_.back().strips, plane.slope_at_anode(0));
     cluster.method = ClusterMethod::positions;
     measure(layer, sheet_.back(), {0, 1, false}, cluster);
@@ -159,6 +164,9 @@ class ChargeTimeClusters {
       if (best[i] && !has_track(first + i))
         measure(layer, sheet_[i], towards(layer, views[i], best[i]->z), views[i]);
     }
+    for (std::size_t i = 0; i < views.size(); ++i) {
+      if (best[i] && views[i].view == ClusterView::v) shift_v(layer, sheet_[best[i]->x].lost, views[i]);
+    }
     sheet_.clear();
   }
 
@@ -189,11 +197,40 @@ class ChargeTimeClusters {
     return {slope_at(layer, cluster.view, z), path_at(layer, z), false};
   }
 
+  // What is beside a cluster: the edge of the sheet, strips that give no signal, or silent ones; strips that
+  // give none may be within it, too.
+  struct Ends {
+    bool edge_below = false, edge_above = false, masked_below = false, masked_above = false;
+    bool silent_below = false, silent_above = false, holes = false;
+
+    bool lose() const { return edge_below || edge_above || masked_below || masked_above || holes; }
+  };
   // The strips of a cluster, and their charge as of a track along the radius.
   struct Fired {
     std::vector<FiredStrip> strips;
     ChargeMoments charge;
+    Ends ends;
+    FoundPosition lost;  // of an X cluster at the edge of the sheet: what its charge there is beside
   };
+
+  Ends ends_of(const MeasuringLayer& layer, StripRun run, const ClusterRow& cluster) const {
+    const int view = static_cast<int>(cluster.view), strips = view == 0 ? layer.strips_x : layer.strips_v;
+    const int gid = gid_of(layer, cluster.sheet, view, 0);
+    const bool has_mask = !model_.mask.is_empty();
+    Ends ends;
+    if (!run.shares_first) {
+      ends.edge_below = cluster.first == 0;
+      ends.masked_below = has_mask && cluster.first > 0 && model_.mask(gid + cluster.first - 1);
+      ends.silent_below = !ends.edge_below && !ends.masked_below;
+    }
+    if (!run.shares_last) {
+      ends.edge_above = cluster.last == strips - 1;
+      ends.masked_above = has_mask && !ends.edge_above && model_.mask(gid + cluster.last + 1);
+      ends.silent_above = !ends.edge_above && !ends.masked_above;
+    }
+    ends.holes = has_mask && model_.mask.count(gid + cluster.first, gid + cluster.last) > 0;
+    return ends;
+  }
 
   ChargeMoments charge_at(const ViewReconstruction& plane, std::span<const FiredStrip> strips, double slope) {
     plane.points(strips, slope, points_);
@@ -215,8 +252,56 @@ class ChargeTimeClusters {
                 (at.velocity * at.velocity)};
   }
 
+  // Corrects position and variance of a cluster for charge that was lost beside its strips. `slope`: of the
+  // charge; `shift`: of the position, from the anode to mid-gap; `on_line`: see MeasuredCharge.
+  void restore(std::size_t number, Fired& fired, const ChargeMoments& charge, Direction direction,
+               bool on_line, double shift, ClusterView view, double& value, double& variance) {
+    const bool is_x = view == ClusterView::x;
+    const ChargeErrors& errors = model_.errors;
+    const PlaneErrors& at = errors.plane(is_x ? 0 : 1, number);
+    const double infinite = std::numeric_limits<double>::infinity();
+    const Ends& ends = fired.ends;
+    middles_.clear();
+    for (const FiredStrip& strip : fired.strips) middles_.push_back(strip.position);
+    const SeenStrips strips{.middles = middles_,
+                            .pitch = at.pitch,
+                            .silent_below = ends.silent_below,
+                            .silent_above = ends.silent_above,
+                            .edge_below = ends.edge_below ? middles_.front() - 0.5 * at.pitch : -infinite,
+                            .edge_above = ends.edge_above ? middles_.back() + 0.5 * at.pitch : infinite};
+    const ChargeProfile profile{direction.slope, at.gap, std::sqrt(at.cloud + at.diffusion),
+                                errors.chip.gain_variance > 0};
+    const double number_of = charge.charge * errors.chip.electrons_per_fC;
+    // The strips that are seen say what charge that does not fluctuate has lost below the threshold.
+    const double known =
+        profile.fluctuates ? 0 : errors.cut_variance(is_x ? 0 : 1, number, charge, direction);
+    const double uneven = errors.chip.ionization * errors.shares.at(number, direction.path, number_of);
+    const FoundPosition found = position_of_seen(
+        strips, profile,
+        {.position = value + shift,
+         .variance = variance - known,
+         .on_line = on_line,
+         .charge = charge.charge,
+         .threshold = at.threshold,
+         .noise = errors.chip.noise,
+         .uneven = uneven,
+         .log_charge = errors.log_numbers[number] + std::log(direction.path / errors.chip.electrons_per_fC),
+         .charge_spread = errors.charges_apart[number] / std::sqrt(2.0)});
+    const double moved = found.position - shift - value;
+    value += moved;
+    variance = found.variance + square(moved) * uneven;
+    if (is_x && (ends.edge_below || ends.edge_above)) fired.lost = found;
+  }
+
+  // Charge of avalanches that lies beyond the edge of the sheet moves V with X.
+  void shift_v(const MeasuringLayer& layer, const FoundPosition& lost, ClusterRow& cluster) const {
+    if (!model_.timed || lost.variance == 0) return;
+    cluster.v -= layer.cos_stereo * lost.beside;
+    cluster.err_v = std::hypot(cluster.err_v, layer.cos_stereo * std::sqrt(lost.beside_variance));
+  }
+
   // Sets position, error and time.
-  void measure(const MeasuringLayer& layer, const Fired& fired, Known known, ClusterRow& cluster) {
+  void measure(const MeasuringLayer& layer, Fired& fired, Known known, ClusterRow& cluster) {
     const ViewReconstruction plane = plane_of(layer, cluster);
     const int view = static_cast<int>(cluster.view);
     const auto number = static_cast<std::size_t>(cluster.layer);
@@ -225,6 +310,7 @@ class ChargeTimeClusters {
         known.slope == 0 ? fired.charge : charge_at(plane, fired.strips, direction.slope);
     cluster.time = plane.time(fired.strips, charge);
     double value = 0, variance = 0;
+    bool on_line = true;
     Line line{0, 0, false};
     if (model_.estimator == Estimator::micro_tpc && !known.of_track) {
       plane.points(fired.strips, direction.slope, points_);
@@ -251,6 +337,10 @@ class ChargeTimeClusters {
     } else {
       value = charge.position - plane.lorentz(0);
       variance = model_.errors.of_centroid(view, number, charge, direction);
+      on_line = false;
+    }
+    if (fired.ends.lose()) {
+      restore(number, fired, charge, direction, on_line, plane.lorentz(0), cluster.view, value, variance);
     }
     if (cluster.view == ClusterView::x) {
       cluster.x = value;
@@ -264,6 +354,7 @@ class ChargeTimeClusters {
 
   std::vector<Fired> sheet_;        // of the clusters of the sheet
   std::vector<StripPoint> points_;  // of one cluster
+  std::vector<double> middles_;     // mm, of its strips
   const DigiView& digis_;
   const ChargeTimeModel& model_;
 };

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <span>
 #include <tuple>
+#include <type_traits>
 #include <vector>
 
 #include "detector/cluster_rows.hpp"
@@ -167,7 +168,7 @@ inline void widen(const MeasuringLayer& layer, const StripMask& mask, ClusterRow
 //   score(layer, views, i, k, z): how well two clusters of a sheet that cross at z fit each other;
 //   place(layer, views, pairs, first): changes clusters of a sheet, of which the first will be this row of
 //   the table, for where their pairs cross (without it, they stay); keeps(layer, row): whether a digi may be
-//   of a particle (without it, all may).
+//   of a particle (without it, all may); knows_lost_charge: if its errors count masked strips.
 // Rows ordered by event, layer, sheet, then X, V and XV clusters. Digis of masked strips are left out.
 template <class Model>
 Columns<ClusterRow> clusters_of_runs(const Detector& detector, const DigiView& digis, const Joining& joining,
@@ -193,7 +194,9 @@ Columns<ClusterRow> clusters_of_runs(const Detector& detector, const DigiView& d
     if constexpr (requires { model.place(layer, sheet, pairs, std::size_t{}); }) {
       model.place(layer, sheet, pairs, clusters.size());
     }
-    for (ClusterRow& cluster : sheet) widen(layer, joining.mask, cluster);
+    if constexpr (!requires { std::remove_cvref_t<Model>::knows_lost_charge; }) {
+      for (ClusterRow& cluster : sheet) widen(layer, joining.mask, cluster);
+    }
     write_sheet(layer, sheet, pairs, clusters);
     sheet.clear();
   };

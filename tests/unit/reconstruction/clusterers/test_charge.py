@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import cgemit as cg
 from cgemit.analysis.widths import measure
@@ -550,3 +551,63 @@ def test_own_part_of_a_divided_cluster():
     own = np.isin(rows, truth.own_clusters(LAYERS, clusters, truths))
     assert np.count_nonzero(~own) > 100
     np.testing.assert_allclose(np.maximum(outside, 0)[own], least[place[own]], atol=1e-5)
+
+
+PROJECTION = cg.ProjectionReadout(noise=1e-3)
+
+
+def gaussian_on(strips, position, detector=DESIGN):
+    """Return the X clusters of a Gaussian charge of the projection, without noise, on some strips of the first layer."""
+    edges = (strips[0] + np.arange(len(strips) + 1)) * L1.pitch_x
+    whole = np.exp(error_inputs(DESIGN, PROJECTION).shares["log_numbers"][0]) * PROJECTION.gain * 1.602176634e-4 / 2
+    charge = whole * np.diff(norm.cdf((edges - position) / PROJECTION.sigma))
+    fired = charge > PROJECTION.threshold
+    return cluster(detector, digis_of(np.asarray(strips)[fired], charge[fired]), readout=PROJECTION)
+
+
+@pytest.mark.parametrize("beside", [0.6, 0.4, 0.2, 0.1, 0.0, -0.1])  # mm, from the edge
+def test_positions_of_charge_beyond_the_edge_of_a_sheet(beside):
+    """A Gaussian of which the sheet sees a part, at either edge, and the same part beside dead strips."""
+    n, pitch, few = L1.strips_x, L1.pitch_x, 8
+    width, middle = n * pitch, 400
+    last = gaussian_on(range(n - few, n), width - beside)
+    first = gaussian_on(range(few), beside)
+    dead = DESIGN.with_overrides({"cgem.L1.dead_x": [f"0:{strip}" for strip in range(middle, middle + few)]})
+    within = gaussian_on(range(middle - few, middle), middle * pitch - beside, dead)
+    assert [len(found) for found in (last, first, within)] == [1, 1, 1]
+    for found, true in ((last, width - beside), (first, beside), (within, middle * pitch - beside)):
+        assert abs(found["x"][0] - true) < 1.5 * found["err_x"][0] < 0.2
+    assert last["x"][0] + first["x"][0] == pytest.approx(width, abs=1e-6)
+    assert last["err_x"][0] == pytest.approx(first["err_x"][0], rel=1e-6)
+    assert last["x"][0] - width == pytest.approx(within["x"][0] - middle * pitch, abs=1e-6)
+
+
+def test_charge_within_a_sheet_has_its_centroid():
+    """Where all strips around a cluster could have fired, its position is the mean of the charge."""
+    for true in np.linspace(399.6, 400.4, 9) * L1.pitch_x:
+        strips = gaussian_on(range(392, 409), true)
+        assert strips["x"][0] == pytest.approx(true, abs=0.05)
+        assert strips["err_x"][0] < 0.1
+
+
+def test_v_strips_that_end_at_the_seam_are_moved_with_x():
+    """Clouds beyond the seam are not seen: V is moved by cos(alpha) times what X is, and its error grows."""
+    shift = {}
+    for name, first in (("seam", L1.strips_x - 2), ("within", 400)):
+        x = digis_of([first, first + 1], [20.0, 20.0], 160.0)
+        crossing = (first + 1) * L1.pitch_x * np.cos(L1.stereo) + L1.z_ref * np.sin(L1.stereo)
+        strip = int(crossing / L1.pitch_v - L1.offset_v)
+        v = digis_of([strip, strip + 1], [20.0, 20.0], 160.0, view=1)
+        both = cg.Table("digis", {key: np.concatenate([x[key], v[key]]) for key in x}, n_events=1)
+        found = cluster(DESIGN, both, readout=cg.TigerReadout(lorentz=False))
+        of_x, of_v = (found[found["view"] == view] for view in (0, 1))
+        shift[name] = (
+            of_x["x"][0] - (first + 1) * L1.pitch_x,
+            of_v["v"][0] - v_of_strips(L1, strip + 1),
+            of_v["err_v"][0],
+        )
+    (x, v, error), (x_within, v_within, error_within) = shift["seam"], shift["within"]
+    assert abs(x_within) < 1e-6
+    assert x > 0.03
+    assert v - v_within > 0.3 * np.cos(L1.stereo) * x
+    assert error > error_within
