@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.detector import Detector, compiled, load
+from cgemit.detector.channels import checked
 from cgemit.detector.parts import pitches
 from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.find.truth import link_problems, particle_rows, residuals
@@ -192,6 +193,10 @@ def _classes(of: CandidateCounts, good: Flags) -> Statuses:
     return classes
 
 
+@checked(
+    "tracks", "candidates", "candidate_hits", "clusters", "wire_hits", "particles", "truths", "wire_truths",
+    ignore=("gid",),
+)  # fmt: skip
 def match(
     tracks: Table,
     candidates: Table,

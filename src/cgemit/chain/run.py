@@ -239,11 +239,11 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     made: Tables = transport(job.detector, particles, settings.simulate, job.seed)
     yield "simulate", made
     particles, truths, wire_truths = made["particles"], made["truths"], made["wire_truths"]
-    made = digitize(job.detector, truths, wire_truths, settings.digitize, job.seed, steps=made["steps"])
-    made = add_background(job.detector, **made, settings=settings.background, seed=job.seed)
+    made = digitize.unchecked(job.detector, truths, wire_truths, settings.digitize, job.seed, steps=made["steps"])
+    made = add_background.unchecked(job.detector, **made, settings=settings.background, seed=job.seed)
     yield "digitize", made
     digis, wire_hits = made["digis"], made["wire_hits"]
-    clusters = cluster(job.fit_detector, digis, settings.cluster, readout=settings.digitize.readout)
+    clusters = cluster.unchecked(job.fit_detector, digis, settings.cluster, readout=settings.digitize.readout)
     yield "cluster", {"clusters": clusters}
     finder, hits = (
         finder_of_run(job, Truths(job.detector, particles, truths, wire_truths)),
@@ -257,10 +257,8 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
         found |= tables
         yield step, tables
     tracks, candidates = found["tracks"], (found["candidates"], found["candidate_hits"])
-    yield (
-        "match",
-        match(tracks, *candidates, clusters, wire_hits, particles, truths, wire_truths, detector=job.detector),
-    )
+    of_truth = (particles, truths, wire_truths)
+    yield "match", match.unchecked(tracks, *candidates, clusters, wire_hits, *of_truth, detector=job.detector)
 
 
 def finder_of_run(job: Job, truths: Truths) -> Finder:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.errors import did_you_mean
 from cgemit.detector import Detector, compiled
+from cgemit.detector.channels import checked
 from cgemit.particles.species import HYPOTHESES
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems, what
@@ -133,6 +134,7 @@ def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
     ]
 
 
+@checked("clusters", "wire_hits", ignore=("gid",))
 def label_candidates(
     clusters: Table,
     wire_hits: Table,
@@ -172,8 +174,7 @@ def label_candidates(
     (5, ['candidate_hits', 'candidates'])
     """
     labels = [np.asarray(label) for label in (cluster_label, wire_label)]
-    problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
-    problems = problems or _label_problems(clusters, wire_hits, labels[0], labels[1], hypothesis)
+    problems = _label_problems(clusters, wire_hits, labels[0], labels[1], hypothesis)
     if problems:
         raise ValueError("label_candidates:\n  " + "\n  ".join(problems))
     of_cluster, of_wire = (label.astype(np.int64) for label in labels)

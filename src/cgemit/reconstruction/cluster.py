@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.detector import CgemLayer, Detector, load
+from cgemit.detector.channels import checked
 from cgemit.detector.core import StripView, strip_view
 from cgemit.detector.gas import most_lost
 from cgemit.detector.readouts import (
@@ -103,6 +104,7 @@ def warn_of_losses(detector: Detector, readout: Readout) -> None:
         )
 
 
+@checked("digis", ignore=("gid",))
 def cluster(
     detector: Detector | str | Mapping[str, Any],
     digis: Table,

@@ -15,6 +15,7 @@ from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import SCREENINGS, Detector, Screening, compiled, load, slabs
+from cgemit.detector.channels import checked
 from cgemit.detector.core import with_hits_of
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
@@ -184,6 +185,7 @@ Out = dict[str, npt.NDArray[np.generic]]  # what the compiled fit returns
 PARAMETERS = helix.PARAMETERS
 
 
+@checked("clusters", "wire_hits", "candidates", "candidate_hits", ignore=("gid",))
 def fit(
     detector: Detector | str | Mapping[str, Any],
     clusters: Table,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from cgemit.detector import Detector, load
+from cgemit.detector.channels import checked
 from cgemit.reconstruction.candidates import Finder, by_finder
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.reconstruction.refine import Hits, Refinement, Turn
@@ -17,6 +18,7 @@ from cgemit.tables import Table
 _STATES: tuple[SurfaceName, ...] = ("origin", "hits")
 
 
+@checked("clusters", "wire_hits", "digis", ignore=("gid",))
 def reconstruct(
     detector: Detector | str | Mapping[str, Any],
     clusters: Table,
@@ -125,4 +127,5 @@ def turns(
 
 def _fitted(detector: Detector, hits: Hits, found: Mapping[str, Table], settings: FitSettings) -> dict[str, Table]:
     """Fit the candidates that were found."""
-    return fit(detector, hits.clusters, hits.wire_hits, found["candidates"], found["candidate_hits"], settings)
+    tables = (hits.clusters, hits.wire_hits, found["candidates"], found["candidate_hits"])
+    return fit.unchecked(detector, *tables, settings)

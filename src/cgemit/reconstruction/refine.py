@@ -292,7 +292,7 @@ class ClusterDirection(Refinement):
         if hits.digis is None:
             raise ValueError("reconstruct: got no digis, expected the strips of the clusters, which are made again")
         directions = track_directions(detector, len(hits.clusters), turn.states)
-        again = cluster(detector, hits.digis, self._settings, readout=self._readout, directions=directions)
+        again = cluster.unchecked(detector, hits.digis, self._settings, readout=self._readout, directions=directions)
         return replace(hits, clusters=again)
 
 

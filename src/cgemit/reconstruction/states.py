@@ -15,6 +15,7 @@ from cgemit.detector import SCREENINGS, Detector, compiled, load, slabs
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import FitHits
 from cgemit.tables import Table
+from cgemit.tables.check import table_problems
 from cgemit.tables.table import what
 
 Surface = _core.Surface
@@ -145,7 +146,7 @@ def extrapolate(
     problems = _start_problems(table, radius, particle, screening, loss)
     if problems:
         raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
-    detector, of_state = load(detector), table.kind == "states"
+    detector, of_state, n = load(detector), table.kind == "states", len(table)
     pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
     parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
@@ -154,14 +155,17 @@ def extrapolate(
         cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), radius=float(radius),
         share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip
-    n = len(table)
+    at = _at(out)
+    # Squares of numbers far beyond a detector may be infinite.
+    finite = np.all([np.isfinite(one).reshape(n, -1).all(axis=1) for one in at.values()], axis=0)
+    out["status"] = np.where((out["status"] == StateStatus.ok) & ~finite, StateStatus.not_fitted, out["status"])
     none, nan = np.full(n, -1), np.full(n, np.nan)
     columns: Columns = {
         "event": table["event"], "track": table["track"] if of_state else np.arange(n),
         "hypothesis": table["hypothesis"], "surface": np.full(n, Surface.cylinder), "r": np.full(n, float(radius)),
         "view": none, "layer": none, "hit": none, "residual": nan, "err": nan, "pull": nan, "status": out["status"],
     }  # fmt: skip
-    return Table("states", columns | _at(out), meta=table.meta, **table.cover)
+    return Table("states", columns | at, meta=table.meta, **table.cover)
 
 
 def _start_problems(table: Table, radius: object, particle: object, screening: object, loss: object) -> list[str]:
@@ -170,6 +174,8 @@ def _start_problems(table: Table, radius: object, particle: object, screening: o
     fits = isinstance(table, Table) and table.kind in ("states", "tracks")
     if not fits:
         problems.append(f"table: got {what(table)}, expected a table of kind 'states' or 'tracks'")
+    else:
+        problems += table_problems(**{table.kind: table})
     if not 0 < number(radius) < math.inf:
         problems.append(f"radius: got {radius!r}, expected a positive number, mm")
     if particle not in (None, *HYPOTHESES):

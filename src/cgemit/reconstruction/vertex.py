@@ -14,12 +14,13 @@ from cgemit import helix
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector, compiled, load
+from cgemit.detector.channels import checked
 from cgemit.detector.parts import extent
 from cgemit.particles.species import HYPOTHESES, Species
 from cgemit.tables import Table
-from cgemit.tables.table import kind_problems
 
 
+@checked("candidates", "tracks", "vertices")
 def begin_at_vertices(
     detector: Detector | str | Mapping[str, Any], candidates: Table, tracks: Table, vertices: Table
 ) -> Table:
@@ -48,9 +49,6 @@ def begin_at_vertices(
     ValueError
         Listing the tables that are of another kind.
     """
-    problems = kind_problems(candidates=candidates, tracks=tracks, vertices=vertices)
-    if problems:
-        raise ValueError("begin_at_vertices:\n  " + "\n  ".join(problems))
     bz = compiled(load(detector)).field.bz
     good = np.flatnonzero(vertices["status"] == 0)
     rows = np.concatenate([vertices[side][good] for side in ("first", "second")])
@@ -97,6 +95,7 @@ class BeamSpot(SettingsData):
     sigma: tuple[Spread, Spread, Spread]
 
 
+@checked("tracks")
 def pair_tracks(tracks: Table, particles: tuple[str, str] | None = None) -> Rows:
     """Return all pairs of fitted tracks of opposite charge of each event.
 
@@ -155,7 +154,7 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
     known = _are_hypotheses(particles)
     if pairs is None:
         several = known and len(np.unique(tracks["hypothesis"])) > 1 and _several(tracks)
-        pairs = pair_tracks(tracks, particles if several else None)
+        pairs = pair_tracks.unchecked(tracks, particles if several else None)
     given = np.asarray(pairs)
     given = given.reshape(0, 2) if given.size == 0 else given
     if not known:
@@ -314,6 +313,7 @@ class _Linear(NamedTuple):
     turn: Floats
 
 
+@checked("tracks")
 def fit_vertices(
     detector: Detector | str | Mapping[str, Any],
     tracks: Table,

@@ -18,13 +18,14 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
+from cgemit.detector.channels import channels_of, checked
 from cgemit.detector.core import compiled, joined, strip_lists, strip_view
 from cgemit.detector.drift import distance_at, shifted
 from cgemit.detector.parts import BackgroundLevel, WireLayer
 from cgemit.simulation.digitize import without_dead
 from cgemit.tables import Table
+from cgemit.tables.check import table_problems
 from cgemit.tables.store import INDEX, StoredTables
-from cgemit.tables.table import kind_problems
 
 Level = Annotated[str, Check(lambda value: 0 < len(value) <= 100, "off, or the label of a level of the detector")]
 Factor = Annotated[float, Check(lambda value: 0 <= value <= 100, "a number from 0 to 100")]
@@ -126,6 +127,7 @@ STRESS_RUNS = (646, 167, 52, 39, 25, 21, 51)
 BEGIN, WINDOWS = -20.0, {"wire_hits": 2000.0, "digis": 1000.0}
 
 
+@checked("digis", "wire_hits")
 def add_background(
     detector: Detector, digis: Table, wire_hits: Table, settings: BackgroundSettings, seed: int
 ) -> dict[str, Table]:
@@ -165,7 +167,7 @@ def add_background(
     check_numbers("add_background", seed)
     level = level_of(detector, BackgroundSettings.of(settings))
     if settings.events:
-        mixed = mix_events(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
+        mixed = mix_events.unchecked(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
         digis, wire_hits = mixed["digis"], mixed["wire_hits"]
     of_cgem = digis["strip"][strip_view(detector).number[digis["layer"]] >= 0] if detector.layer else digis["strip"]
     has_strips = bool((of_cgem >= 0).all())
@@ -364,6 +366,7 @@ def start_times(events: npt.NDArray[np.int64], sigma: float, seed: int) -> Float
     return np.asarray(sigma * _core.normals(seed, events, no_particle, _core.Purpose.start_time, 0)[:, 0])
 
 
+@checked("digis", "wire_hits")
 def mix_events(
     detector: Detector | str | Mapping[str, Any],
     digis: Table,
@@ -477,8 +480,8 @@ def _stored(folder: str, _: int) -> dict[str, Table]:
 
 def _argument_problems(digis: object, wire_hits: object, other: object, offset: object, seed: object) -> list[str]:
     """Return what is wrong with the arguments themselves."""
-    problems = kind_problems(digis=digis, wire_hits=wire_hits)
-    if not problems and not digis.covers_as(wire_hits):  # type: ignore[attr-defined]
+    problems = []
+    if not digis.covers_as(wire_hits):  # type: ignore[attr-defined]
         problems.append("digis: got other events than those of wire_hits, expected the same")
     if not isinstance(other, Mapping | str | os.PathLike):
         problems.append(f"other: got {type(other).__name__}, expected tables by their names or the folder of a run")
@@ -494,45 +497,13 @@ def _check(detector: Detector, tables: Mapping[str, Table]) -> None:
     """Raise an error for tables of another kind or detector."""
     _raise([f"{name}: missing" for name in ("digis", "wire_hits") if name not in tables])
     digis, wires = tables["digis"], tables["wire_hits"]
-    problems = kind_problems(digis=digis, wire_hits=wires)
+    problems = [f"other: {one}" for one in table_problems(channels_of(detector), digis=digis, wire_hits=wires)]
     if not problems:
-        problems += [
-            f"{name}: got a channel in row {rows[0]} that {detector.name} does not have"
-            for name, rows in (
-                ("wire_hits", _strange_cells(detector, wires)),
-                ("digis", _strange_strips(detector, digis)),
-            )
-            if len(rows)
-        ]
         if wires.n_events != digis.n_events:
             problems.append(f"digis: got {digis.n_events} events, expected {wires.n_events}, as wire_hits has")
         elif not wires.n_events:
             problems.append("wire_hits: got no events, expected at least one")
     _raise(problems)
-
-
-def _strange_cells(detector: Detector, hits: Table) -> Rows:
-    """Return the rows of cells that a detector does not have."""
-    chamber = detector.drift_chamber
-    layers = list(zip(chamber.layers, chamber.gid_first, strict=True)) if chamber else []
-    known = np.zeros((max([*(one.number for one, _ in layers), *hits["layer"].tolist()], default=0) + 1, 2), np.int64)
-    for one, gid in layers:
-        known[one.number] = one.cells, gid
-    cells, first = known[hits["layer"]].T
-    return np.flatnonzero((hits["wire"] < 0) | (hits["wire"] >= cells) | (hits["gid"] != first + hits["wire"]))
-
-
-def _strange_strips(detector: Detector, digis: Table) -> Rows:
-    """Return the rows of strips that a detector does not have; positions have a layer only."""
-    strips = np.array([(one.strips_x, one.strips_v) for one in detector.layers], np.int64).reshape(-1, 2)
-    strange = np.flatnonzero(digis["layer"] >= len(strips))
-    if len(strange):
-        return strange
-    first = np.cumsum([0, *(strips.sum(axis=1) * [one.sheets for one in detector.layers])])[digis["layer"]]
-    x, both = strips[digis["layer"], 0], strips[digis["layer"]].sum(axis=1)
-    gid = first + digis["sheet"] * both + digis["view"] * x + digis["strip"]
-    beyond = digis["strip"] >= strips[digis["layer"], digis["view"]]
-    return np.flatnonzero(beyond | ((digis["strip"] >= 0) & (digis["gid"] != gid)))
 
 
 def _raise(problems: list[str]) -> None:

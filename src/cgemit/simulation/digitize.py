@@ -13,6 +13,7 @@ from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import check_numbers, one_of
 from cgemit.detector import Detector, compiled, load
+from cgemit.detector.channels import checked
 from cgemit.detector.core import in_dead_area, joined, strip_lists, strip_view
 from cgemit.detector.drift import (
     XT_DISTANCE,
@@ -164,6 +165,7 @@ def digitizer_of(readout: Readout) -> Digitizer:
     return part_of(readout, DIGITIZERS)(readout)
 
 
+@checked("truths", "wire_truths", "steps")
 def digitize(
     detector: Detector | str | Mapping[str, Any],
     truths: Table,

@@ -406,6 +406,76 @@ ROWS: Mapping[str, str] = MappingProxyType({name: row for name, _, row in _KINDS
 
 Array = np.ndarray[Any, Any]
 
+#: Numbers beyond that are no measurements: their squares would lose all digits, or be infinite.
+_LARGEST = {"mm": 1e12, "rad": 1e6, "mixed": 1e30, "mm2": 1e30}
+_LARGEST_OTHER = 1e15
+_ENDLESS = float(np.iinfo(np.int64).max)
+
+#: Ranges of columns, ends included, by name or by ``table.name``; other numbers are finite, and not too large.
+_RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        **dict.fromkeys(("err", "sigma", "mass", "r", "path", "chi2", "purity", "efficiency"), (0.0, np.inf)),
+        **dict.fromkeys(("truths.energy", "steps.energy", "err_start_time", "err_mass"), (0.0, np.inf)),
+        **{f"err_{name}": (0.0, np.inf) for name in (*PARAMETERS, "x", "y", "z", "v", "phi")},
+        **dict.fromkeys(("sheet", "size", "secondaries", "daughter", "parent", "mode"), (0, _ENDLESS)),
+        **dict.fromkeys(("n_clusters", "n_wires", "n_outliers", "n_tracks", "iterations"), (0, _ENDLESS)),
+        **dict.fromkeys(("layer", "wire", "seeds", "limits", "delta", "n_electrons", "hypothesis"), (0, _ENDLESS)),
+        **dict.fromkeys(("particle", "candidates.candidate", "candidates.pdg", "first_pdg"), (0, _ENDLESS)),
+        **dict.fromkeys(("strip", "gid", "n_truths", "matches.particle", "states.layer", "half_turn"), (-1, _ENDLESS)),
+        **dict.fromkeys(("clusters.first", "clusters.last", "refined_clusters.first"), (-1, _ENDLESS)),
+        **dict.fromkeys(("refined_clusters.last",), (-1, _ENDLESS)),
+        **dict.fromkeys(("wire_hits.gid", "second_pdg"), (0, _ENDLESS)),
+        **dict.fromkeys(("displaced", "used", "method", "digis.view", "steps.parent"), (0, 1)),
+        **dict.fromkeys(("clusters.view", "refined_clusters.view", "residuals.view"), (0, 2)),
+        **dict.fromkeys(("candidate_hits.view", "states.surface"), (0, 3)),
+        **dict.fromkeys(("side", "decayed"), (-1, 1)),
+        "states.view": (-1, 2),
+        **{
+            f"{table}.status": (0, len(kind.__members__) - 1)
+            for table, kind in (
+                ("particles", _core.TransportStatus), ("decays", _core.TransportStatus), ("tracks", _core.FitStatus),
+                ("states", _core.StateStatus),
+            )
+        },
+    }
+)  # fmt: skip
+
+#: Columns that are NaN where there is no number, whatever the status of the row.
+_MAY_BE_NAN = frozenset(
+    {"digis.position", "err_start_time", "states.residual", "states.err", "states.pull"}
+    | {f"{table}.{column.name}" for table in ("clusters", "refined_clusters") for column in _CLUSTERS}
+    | {f"matches.{column.name}" for column in MATCHES}
+)
+
+#: Tables in which numbers count only where `status` is 0.
+FITTED = ("tracks", "states", "vertices", "start_times")
+
+#: Links that lead to a row; others are -1 where there is none.
+NEEDED_LINKS = frozenset(
+    {"steps.truth", "candidate_hits.candidate", "candidate_hits.row", "tracks.candidate", "matches.track"}
+    | {"residuals.track", "residuals.hit", "states.track", "vertices.first", "vertices.second"}
+)
+
+
+def range_of(kind: str, column: Column) -> tuple[float, float, bool]:
+    """Return the least and the largest value of a column, and whether it may be NaN in any row.
+
+    Parameters
+    ----------
+    kind : str
+        Of the table.
+    column : Column
+    """
+    name = f"{kind}.{column.name}"
+    low, high = _RANGES.get(name, _RANGES.get(column.name, (-np.inf, np.inf)))
+    if column.links is not None:
+        low, high = -1, _ENDLESS
+    elif column.dtype.kind == "f":
+        largest = _LARGEST.get(column.unit, _LARGEST_OTHER)
+        low, high = max(low, -largest), min(high, largest)
+    return low, high, name in _MAY_BE_NAN or column.name in _MAY_BE_NAN
+
+
 #: Further arrays of files.
 RESERVED = {"offsets": "the per-event offsets", "events": "the numbers of the events"}
 

@@ -15,11 +15,11 @@ from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import Detector, MeasurementLayer, load
+from cgemit.detector.channels import checked
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.fit import FitSettings, compiled_matter
 from cgemit.tables import Table
-from cgemit.tables.table import kind_problems
 
 Method = Literal["combined", "segments", "chamber"]
 
@@ -119,6 +119,7 @@ class SearchLimits(enum.IntFlag):
 BEYOND = ~SearchLimits.failures
 
 
+@checked("clusters", "wire_hits", ignore=("gid",))
 def find_tracks(
     detector: Detector | str | Mapping[str, Any],
     clusters: Table,
@@ -160,11 +161,8 @@ def find_tracks(
     [0, 1, 2, 3, 4]
     """
     detector, settings, fit = load(detector), FindSettings.of(settings), FitSettings.of(fit, "fit")
-    problems = kind_problems(clusters=clusters, wire_hits=wire_hits)
-    if not problems and not clusters.covers_as(wire_hits):
-        problems = ["wire_hits: cover other events than the clusters; expected the same"]
-    if problems:
-        raise ValueError("find_tracks:\n  " + "\n  ".join(problems))
+    if not clusters.covers_as(wire_hits):
+        raise ValueError("find_tracks:\n  wire_hits: cover other events than the clusters; expected the same")
     event, view, hits, points, number = _measurements(clusters, wire_hits, by_size=fit.cluster_errors == "track")
     order = np.argsort(event, kind="stable")
     place = np.empty_like(order)
@@ -210,10 +208,6 @@ def _measurements(
     those of others, too: each is one measurement, as is a cluster that is given twice. The numbers are those of the
     measurements of X and V clusters, (clusters,) int64. `by_size`: errors of clusters of strips follow from their size.
     """
-    unknown = np.flatnonzero(~np.isin(clusters["view"], (HIT_X, HIT_V, XV_CLUSTER)))
-    if len(unknown):
-        view = clusters["view"][unknown[0]]
-        raise ValueError(f"find_tracks: clusters row {unknown[0]}: view: got {view}, expected 0, 1 or 2")
     points = (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] < 0)
     size = clusters["size"] * (clusters["method"] == 0) * (clusters["view"] != XV_CLUSTER) * by_size
     x, v = (np.flatnonzero((clusters["view"] == view) | points) for view in (HIT_X, HIT_V))

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
 from cgemit.tables import Table
-from cgemit.tables.table import kind_problems
+from cgemit.tables.check import table_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -51,7 +51,7 @@ def link_loops(tracks: Table, bz: float) -> Rows:
     ValueError
         If the table is of another kind, or there is no field.
     """
-    problems = kind_problems(tracks=tracks)
+    problems = table_problems(tracks=tracks)
     if not np.isfinite(bz) or bz == 0:
         problems.append(f"bz: got {bz}, expected a field in T, not 0")
     if problems:

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector import Detector, load
+from cgemit.detector.channels import checked
 from cgemit.detector.parts import local_v, pitches
-from cgemit.reconstruction.candidates import HIT_V, HIT_X, XV_CLUSTER
+from cgemit.reconstruction.candidates import HIT_V, HIT_X
 from cgemit.tables import Table
-from cgemit.tables.table import kind_problems
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
@@ -28,6 +28,9 @@ _OF_STRIPS = 0  # `method` of clusters whose position is that of their strips
 _NEARER = 1e-6  # orders crossings inside several clusters
 
 
+@checked(
+    "particles", "clusters", "wire_hits", "truths", "wire_truths", ignore=("gid", "particle", "x_cluster", "v_cluster")
+)
 def by_truth(
     detector: Detector | str | Mapping[str, Any],
     particles: Table,
@@ -61,9 +64,6 @@ def by_truth(
         If the tables do not belong to each other or to the detector.
     """
     detector = load(detector)
-    problems = _problems(detector, particles, clusters, wire_hits, truths, wire_truths)
-    if problems:
-        raise ValueError("by_truth:\n  " + "\n  ".join(problems))
     charged = np.flatnonzero(particles["charge"])
     candidate_of = np.full(len(particles), -1)  # of each particle; neutral ones have none
     candidate_of[charged] = np.arange(len(charged))
@@ -85,22 +85,6 @@ def by_truth(
         "candidates": Table("candidates", columns, **about),
         "candidate_hits": Table("candidate_hits", hits, **about),
     }
-
-
-def _problems(
-    detector: Detector, particles: Table, clusters: Table, wire_hits: Table, truths: Table, wire_truths: Table
-) -> list[str]:
-    """Return which tables are of another kind, link to missing rows, or belong to another detector."""
-    problems = kind_problems(
-        particles=particles, clusters=clusters, wire_hits=wire_hits, truths=truths, wire_truths=wire_truths
-    )
-    if problems:
-        return problems
-    return (
-        link_problems(clusters, "truth", truths)
-        + link_problems(wire_hits, "wire_truth", wire_truths)
-        + _layer_problems(detector, clusters, wire_hits)
-    )
 
 
 def link_problems(table: Table, link: str, target: Table) -> list[str]:
@@ -125,30 +109,6 @@ def link_problems(table: Table, link: str, target: Table) -> list[str]:
         return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
     given = f"{table.kind} row {first}, of event {event[first]}, links to one of event {target['event'][rows[first]]}"
     return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
-
-
-def _layer_problems(detector: Detector, clusters: Table, wire_hits: Table) -> list[str]:
-    chamber = detector.drift_chamber
-    wires = [layer.number for layer in chamber.layers] if chamber else []
-    problems = []
-    for table, known in ((clusters, range(len(detector.layers))), (wire_hits, wires)):
-        layer = table["layer"]
-        there = np.zeros(max(known, default=0) + 2, np.bool_)  # the last entry is for any other number
-        there[known] = True
-        strange = layer[~(there.take(layer, mode="clip") & (layer >= 0))]
-        if len(strange):
-            problems.append(f"{table.kind}: got layer {strange[0]}, which {detector.name} does not have")
-    view = clusters["view"]
-    strange = view[(view < HIT_X) | (view > XV_CLUSTER)]
-    if len(strange):
-        problems.append(f"clusters: got view {strange[0]}, expected 0 (X), 1 (V) or 2 (XV)")
-    sheets = np.array([cgem.sheets for cgem in detector.layers])
-    if problems:
-        return problems
-    wrong = (clusters["sheet"] < 0) | (clusters["sheet"] >= sheets.take(clusters["layer"]))
-    if wrong.any():
-        problems.append(f"clusters: got sheet {clusters['sheet'][wrong][0]}, which {detector.name} does not have")
-    return problems
 
 
 def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:

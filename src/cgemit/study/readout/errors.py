@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import measure
-from cgemit.chain.run import run
 from cgemit.base.validate import check_numbers
+from cgemit.chain.run import run
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import MAX_B, drift_columns
 from cgemit.detector.parts import local_v

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from cgemit.analysis.quantities import X
 from cgemit.analysis.widths import Resolution, measure
+from cgemit.base.validate import check_numbers
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
-from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import transport
 from cgemit.detector.parts import CgemLayer
