@@ -161,7 +161,7 @@ def run(given, settings, start=None):
         warnings.simplefilter("error")
         hits = given.hits
         tables = (hits.clusters, hits.wire_hits, hits.candidates, hits.candidate_hits)
-        return fit(given.detector, *tables, settings, start=start)
+        return fit.unchecked(given.detector, *tables, settings, start=start)
 
 
 def problems(tables):

@@ -60,11 +60,12 @@ def checked(*names: str, ignore: Collection[str] = ()) -> Callable[[Callable[P, 
 
     def decorate(function: Callable[P, R]) -> Checked[P, R]:
         signature = inspect.signature(function)
+        optional = {name for name in names if signature.parameters[name].default is None}
 
         @functools.wraps(function)
         def refusing(*args: P.args, **kwargs: P.kwargs) -> R:
             given = signature.bind(*args, **kwargs).arguments
-            tables = {name: given[name] for name in names if given.get(name) is not None}
+            tables = {name: given.get(name) for name in names if not (given.get(name) is None and name in optional)}
             channels = None
             if "detector" in given:
                 given["detector"] = detector = load(given["detector"])

@@ -575,8 +575,13 @@ def _table(kind: str, columns: Columns, events: Column) -> Table:
     filled = {c.name: np.full(len(order), defaults.get(c.name, 0), c.dtype) for c in schema if c.name not in columns}
     picked = {name: column[order] for name, column in {**filled, **columns}.items()}
     position = np.append(np.argsort(order), -1)  # of each row as given
-    for name in picked.keys() & {"x_cluster", "v_cluster"}:
-        picked[name] = position[np.clip(picked[name], -1, len(order))]
+    for name, view in (("x_cluster", HIT_X), ("v_cluster", HIT_V)):
+        if name not in picked:
+            continue
+        # Of some rows of another table, links count the rows of that one.
+        part = position[np.clip(picked[name], -1, len(order))]
+        is_part = (part >= 0) & (picked["view"][part] == view) & (picked["event"][part] == picked["event"])
+        picked[name] = np.where(is_part, part, -1)
     integers = {c.name: c.dtype for c in schema if c.dtype.kind in "iu"}
     picked = {name: column.astype(integers[name]) if name in integers else column for name, column in picked.items()}
     return Table(kind, picked, len(events), events=events)

@@ -153,13 +153,15 @@ def _link_problems(table: Table, column: Column, tables: dict[str, Table]) -> li
         if name == table.kind:
             mine = table["view"] == XV
         rows = links if mine is None else np.where(mine, links, -1)
-        lost = (rows < 0) & (True if mine is None else mine) if f"{table.kind}.{column.name}" in NEEDED_LINKS else None
-        if lost is None or not lost.any():
-            if _core.strange_link(rows, event, target["event"]) < 0:
-                continue
-            inside = np.minimum(rows, len(target) - 1)
-            found = target["event"][inside] if len(target) else np.full(len(rows), -1)
-            lost = (rows >= 0) & ((rows >= len(target)) | (found != event))
+        strange = _core.strange_link(rows, event, target["event"]) >= 0
+        needed = f"{table.kind}.{column.name}" in NEEDED_LINKS and bool((links < 0).any())
+        if not strange and not needed:
+            continue
+        inside = np.clip(rows, 0, max(len(target) - 1, 0))
+        found = target["event"][inside] if len(target) else np.full(len(rows), -1)
+        lost = (rows >= 0) & ((rows >= len(target)) | (found != event))
+        if needed:
+            lost |= (rows < 0) & (True if mine is None else mine)
         problems += _noted(table, column.name, lost, f"a row of {name}, of the same event")
     return problems
 

@@ -442,7 +442,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 #: Columns that are NaN where there is no number, whatever the status of the row.
 _MAY_BE_NAN = frozenset(
-    {"digis.position", "err_start_time", "states.residual", "states.err", "states.pull"}
+    {"digis.position", "drift_time", "err_start_time", "states.residual", "states.err", "states.pull"}
     | {f"{table}.{column.name}" for table in ("clusters", "refined_clusters") for column in _CLUSTERS}
     | {f"matches.{column.name}" for column in MATCHES}
 )

@@ -232,13 +232,15 @@ def test_truth_with_most_charge(design):
 
 def test_strips_that_do_not_exist_are_refused(design):
     """Row, value and what was expected."""
-    with pytest.raises(ValueError, match=r"digis row 1: strip 845, expected 0 to 844"):
+    with pytest.raises(
+        ValueError, match=r"digis row 1: strip: got 845, expected a strip of the sheet, of besiii-cgem-design"
+    ):
         cluster(design, digi_table(x_strips(844, 845)))
-    with pytest.raises(ValueError, match=r"digis row 0: sheet 1, expected 0 to 0"):
+    with pytest.raises(ValueError, match=r"digis row 0: sheet: got 1, expected a sheet of the layer"):
         cluster(design, digi_table(x_strips(3, sheet=1)))
-    with pytest.raises(ValueError, match=r"digis row 0: layer 3, expected 0 to 2"):
+    with pytest.raises(ValueError, match=r"digis row 0: layer: got 3, expected a layer of besiii-cgem-design"):
         cluster(design, digi_table(x_strips(3, layer=3)))
-    with pytest.raises(ValueError, match=r"digis row 0: view 2, expected 0 to 1"):
+    with pytest.raises(ValueError, match=r"digis row 0: view: got 2, expected a whole number from 0 to 1"):
         cluster(design, digi_table([(0, 0, 0, 2, 1, 1.0, 0)]))
 
 

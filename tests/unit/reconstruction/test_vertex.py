@@ -311,7 +311,7 @@ def test_pairs_are_of_opposite_charge_and_one_event() -> None:
 def test_tracks_without_a_fit_and_parallel_ones_say_so() -> None:
     particles = decays("ks-pipi", 3)
     tracks, _ = tracks_of(particles)
-    status = np.array([FitStatus.too_few_hits, 0, 0, 0, 0, 0])
+    status = np.array([FitStatus.too_few_hits, 0, 0, FitStatus.not_positive_definite, 0, 0])
     cov = tracks["cov"].copy()
     cov[3] = np.nan
     found = cg.fit_vertices(DETECTOR, tracks.with_columns(status=status, cov=cov), [[0, 1], [2, 3], [4, 5]])
@@ -418,7 +418,12 @@ def test_a_track_without_covariance_fails_alone(cov):
     tracks, pairs = result.fitted, 3
     wrong = tracks["cov"].copy()
     wrong[2] = cov
+    with pytest.raises(ValueError, match="fit_vertices:\n  tracks row 2: cov: got .*, expected"):
+        cg.fit_vertices(result.detector, tracks.with_columns(cov=wrong))
+    status = [0, 0, cg.FitStatus.not_positive_definite, 0, 0, 0]
     rows = np.arange(2 * pairs).reshape(-1, 2)
-    found, right = (cg.fit_vertices(result.detector, one, rows) for one in (tracks.with_columns(cov=wrong), tracks))
+    found, right = (
+        cg.fit_vertices(result.detector, one, rows) for one in (tracks.with_columns(cov=wrong, status=status), tracks)
+    )
     assert found["status"].tolist() == [0, int(cg.VertexStatus.no_track), 0]
     assert all(np.array_equal(found[name][[0, 2]], right[name][[0, 2]]) for name in ("x", "y", "z", "mass"))

@@ -458,7 +458,7 @@ def test_events_are_mixed_from_files_in_the_chain(run, other, tmp_path):
 
 
 def test_what_cannot_be_mixed_is_refused(run, other, tmp_path):
-    with pytest.raises(ValueError, match="channel in row 0 that besiii-cgem does not have"):
+    with pytest.raises(ValueError, match="other: wire_hits row 0: layer: got 0, expected a layer of besiii-cgem"):
         mix_events(run.detector, run.digis, run.wire_hits, cg.run("besiii-idc", MUON, n=2).tables)
     with pytest.raises(ValueError, match="digis: missing"):
         mix_events(run.detector, run.digis, run.wire_hits, {"wire_hits": other.wire_hits})

@@ -316,7 +316,8 @@ def test_events_beyond_the_search_are_marked(name):
     quiet = run.wire_hits[run.wire_hits["event"] == 2]
     columns = {column: np.concatenate([values, quiet[column]]) for column, values in columns.items()}
     wires = Table("wire_hits", columns, 3)
-    found = cg.find_tracks(run.detector, run.clusters[run.clusters["event"] == 2], wires)
+    strips = run.clusters[(run.clusters["event"] == 2) & (run.clusters["view"] < 2)]
+    found = cg.find_tracks(run.detector, strips, wires)
     assert (found["searches"]["limits"] != 0).tolist() == [True, True, False]
     assert found["searches"]["event"].tolist() == [0, 1, 2]
     beyond = cg.Result(**(vars(run) | {"tables": run.tables | found}))
@@ -423,7 +424,7 @@ def test_unknown_views_are_refused():
     clusters = cg.run("besiii-cgem", PAIR, n=2, settings=QUIET, until="cluster").clusters
     view = clusters["view"].copy()
     view[3] = 100
-    with pytest.raises(ValueError, match="clusters row 3: view: got 100, expected 0, 1 or 2"):
+    with pytest.raises(ValueError, match="clusters row 3: view: got 100, expected a whole number from 0 to 2"):
         cg.find_tracks("besiii-cgem", clusters.with_columns(view=view), cg.Table.empty("wire_hits", **clusters.cover))
 
 
@@ -808,6 +809,7 @@ def test_an_earlier_hit_of_the_cell_may_hide_that_of_the_track(share):
     tried = 0
     for event in range(8):
         clusters, wires = (table[table["event"] == event] for table in (run.clusters, run.wire_hits))
+        clusters = clusters[clusters["view"] < 2]
         of_layer = wires["layer"] == layer.number
         if np.sum(of_layer) != 1 or not 2.5 < wires["drift"][of_layer][0] < 5.5:  # in the middle of one cell
             continue
