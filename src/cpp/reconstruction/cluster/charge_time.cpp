@@ -120,10 +120,10 @@ class ChargeTimeClusters {
     sheet_.push_back({plane.strips(digis_, run), {}, ends_of(layer, run, cluster), {}});
     sheet_.back().charge = charge_at(plane, sheet_.back().strips, plane.slope_at_anode(0));
     cluster.method = ClusterMethod::positions;
-    measure(layer, sheet_.back(), {0, 1, false}, cluster);
+    measure(layer, sheet_.back(), {0, 1, false}, cluster, false);
     if (has_track(row)) {
       const double alone = cluster.view == ClusterView::x ? cluster.x : cluster.v;
-      measure(layer, sheet_.back(), {model_.slopes[row], model_.paths[row], true}, cluster);
+      measure(layer, sheet_.back(), {model_.slopes[row], model_.paths[row], true}, cluster, true);
       cluster.shift = (cluster.view == ClusterView::x ? cluster.x : cluster.v) - alone;
     }
     return cluster;
@@ -161,8 +161,9 @@ class ChargeTimeClusters {
       }
     }
     for (std::size_t i = 0; i < views.size(); ++i) {
-      if (best[i] && !has_track(first + i))
-        measure(layer, sheet_[i], towards(layer, views[i], best[i]->z), views[i]);
+      if (has_track(first + i) || (!best[i] && !sheet_[i].ends.lose())) continue;
+      const Known known = best[i] ? towards(layer, views[i], best[i]->z) : Known{0, 1, false};
+      measure(layer, sheet_[i], known, views[i], true);
     }
     for (std::size_t i = 0; i < views.size(); ++i) {
       if (best[i] && views[i].view == ClusterView::v) shift_v(layer, sheet_[best[i]->x].lost, views[i]);
@@ -300,8 +301,9 @@ class ChargeTimeClusters {
     cluster.err_v = std::hypot(cluster.err_v, layer.cos_stereo * std::sqrt(lost.beside_variance));
   }
 
-  // Sets position, error and time.
-  void measure(const MeasuringLayer& layer, Fired& fired, Known known, ClusterRow& cluster) {
+  // Sets position, error and time. `restores`: whether lost charge counts, which takes time; pairs are found
+  // without.
+  void measure(const MeasuringLayer& layer, Fired& fired, Known known, ClusterRow& cluster, bool restores) {
     const ViewReconstruction plane = plane_of(layer, cluster);
     const int view = static_cast<int>(cluster.view);
     const auto number = static_cast<std::size_t>(cluster.layer);
@@ -339,7 +341,7 @@ class ChargeTimeClusters {
       variance = model_.errors.of_centroid(view, number, charge, direction);
       on_line = false;
     }
-    if (fired.ends.lose()) {
+    if (restores && fired.ends.lose()) {
       restore(number, fired, charge, direction, on_line, plane.lorentz(0), cluster.view, value, variance);
     }
     if (cluster.view == ClusterView::x) {

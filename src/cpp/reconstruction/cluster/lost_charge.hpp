@@ -32,12 +32,11 @@ struct MeasuredCharge {
   double log_charge, charge_spread;  // expected ln(charge), and its standard deviation
 };
 
-// Mean and variance of the position, given what is seen; and the means that the charge on the sheet has
-// beside the position, across the strips of this view, and above mid-gap.
+// Mean and variance of the position, given what is seen, and of the distance that the charge on the sheet has
+// from its line, across the strips.
 struct FoundPosition {
   double position, variance;               // mm, mm^2
-  double beside = 0, beside_variance = 0;  // mm, mm^2, of the charge about its line
-  double height = 0;                       // mm
+  double beside = 0, beside_variance = 0;  // mm, mm^2
 };
 
 FoundPosition position_of_seen(const SeenStrips& strips, const ChargeProfile& profile,

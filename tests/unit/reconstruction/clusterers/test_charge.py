@@ -557,7 +557,7 @@ PROJECTION = cg.ProjectionReadout(noise=1e-3)
 
 
 def gaussian_on(strips, position, detector=DESIGN):
-    """Return the X clusters of a Gaussian charge of the projection, without noise, on some strips of the first layer."""
+    """Return the X clusters of a Gaussian charge of the projection, without noise, on strips of the first layer."""
     edges = (strips[0] + np.arange(len(strips) + 1)) * L1.pitch_x
     whole = np.exp(error_inputs(DESIGN, PROJECTION).shares["log_numbers"][0]) * PROJECTION.gain * 1.602176634e-4 / 2
     charge = whole * np.diff(norm.cdf((edges - position) / PROJECTION.sigma))
