@@ -110,7 +110,10 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     gun.add_argument("--phi", type=options.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
     gun.add_argument("--vertex", type=options.triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
     gun.add_argument(
-        "--vertex-sigma", type=options.triple, metavar="X,Y,Z", help="its Gaussian spread, mm (default 0,0,0)"
+        "--vertex-sigma",
+        type=options.triple,
+        metavar="X,Y,Z",
+        help="its Gaussian spread, the same for all particles of an event, mm (default 0,0,0)",
     )
     if not files:
         return

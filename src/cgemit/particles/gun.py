@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from html import escape
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +67,10 @@ class Source:
 
 @dataclass(frozen=True, repr=False)
 class Guns:
-    """Several sources that shoot in every event, numbered in the order in which they were added."""
+    """Several sources that shoot in every event, numbered in the order in which they were added.
+
+    Guns of an event share the spread of its vertex (`Gun`); a sample draws the vertex of its events itself.
+    """
 
     guns: tuple[Source, ...]
 
@@ -99,7 +102,8 @@ class Guns:
 
 _UNITS = {
     "name": "", "particle": "", "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "cos_theta": "", "phi": "[rad]",
-    "vertex": "[mm]", "vertex_sigma": "[mm]", "radius": "[mm]", "crossing": "[rad]", "multiplicity": "",
+    "vertex": "[mm]", "vertex_sigma": "[mm]", "vertex_spread": "", "radius": "[mm]", "crossing": "[rad]",
+    "multiplicity": "",
 }  # fmt: skip
 
 
@@ -143,11 +147,14 @@ class Gun(Source):
     phi : rad
         Azimuth of the momentum at the vertex.
     vertex : tuple of three, mm
-        x, y, z of the vertex.
+        x, y, z of the vertex; ranges are drawn for each particle.
     vertex_sigma : tuple of three, mm
         Standard deviations of the Gaussian spread added to it.
+    vertex_spread : str
+        ``"event"``: all particles of an event, also of other guns, have the same spread, as from one beam spot.
+        ``"particle"``: each has its own.
     multiplicity : int
-        Particles per event, each drawn on its own.
+        Particles per event; but for the spread of the vertex, each is drawn on its own.
 
     Raises
     ------
@@ -170,6 +177,7 @@ class Gun(Source):
     phi: Azimuth = (-math.pi, math.pi)
     vertex: Point = (0.0, 0.0, 0.0)
     vertex_sigma: Sizes = (0.0, 0.0, 0.0)
+    vertex_spread: Literal["event", "particle"] = "event"
     multiplicity: Count = 1
 
     def __post_init__(self) -> None:
@@ -273,6 +281,10 @@ class _Draws:
             return np.asarray(low + (high - low) * u)
         return np.full(len(self.event), value)
 
+    def of_event(self) -> _Draws:
+        """Return the same draws for all particles of an event: those of particle 0."""
+        return replace(self, particle=np.zeros_like(self.particle))
+
     def normals(self, place: int) -> Array:
         """Return four standard normal numbers per particle, (n, 4)."""
         return np.asarray(_core.normals(self.seed, self.event, self.particle, _core.Purpose.gun, place))
@@ -298,8 +310,9 @@ def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
     rows = len(phi)
     vertex = [draws.uniform(_VERTEX + i, gun.vertex[i]) for i in range(3)]
     if any(sigma != 0.0 for sigma in gun.vertex_sigma):
-        normals = draws.normals(_SPREAD)
-        vertex = [v + draws.uniform(_SIGMA + i, gun.vertex_sigma[i]) * normals[:, i] for i, v in enumerate(vertex)]
+        spread = draws.of_event() if gun.vertex_spread == "event" else draws
+        normals = spread.normals(_SPREAD)
+        vertex = [v + spread.uniform(_SIGMA + i, gun.vertex_sigma[i]) * normals[:, i] for i, v in enumerate(vertex)]
     return {
         "event": draws.event,
         "particle": draws.particle,

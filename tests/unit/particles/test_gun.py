@@ -105,6 +105,40 @@ def test_vertex_spread():
         assert_within(table[axis].std(), sigma, sigma / math.sqrt(2 * n), what=axis)
 
 
+@pytest.mark.parametrize("spread", ["event", "particle"])
+def test_particles_of_an_event_share_its_beam_spot(spread):
+    """Of one gun and of several; the option gives each particle a spread of its own."""
+    n, how = 4000, {"theta": 1, "vertex_sigma": (0.3, 0.1, 5), "vertex_spread": spread}
+    for gun in (Gun("mu-", p=1, multiplicity=2, **how), Gun("mu-", p=1, **how) + Gun("pi+", pt=(0.2, 1), **how)):
+        table = generate(gun, n, seed=3)
+        for axis, sigma in zip("xyz", (0.3, 0.1, 5), strict=True):
+            first, second = table[axis].reshape(-1, 2).T
+            assert_within(second.std(), sigma, sigma / math.sqrt(2 * n), what=axis)
+            if spread == "event":
+                np.testing.assert_array_equal(first, second)
+            else:
+                assert_within(np.corrcoef(first, second)[0, 1], 0, 1 / math.sqrt(n), what=axis)
+    wide = Gun("mu-", p=1, **how) + Gun("mu-", p=1, theta=1, vertex=(1, 0, 0), vertex_sigma=(0.6, 0, 0))
+    x = generate(wide, n, seed=3)["x"].reshape(-1, 2)
+    np.testing.assert_allclose(x[:, 1], 1 + 2 * generate(Gun("mu-", p=1, **how), n, seed=3)["x"], rtol=1e-12)
+
+
+def test_the_spread_of_a_single_particle_is_its_own():
+    """Draws of events with one particle do not depend on the option; those of the option are pinned."""
+    how = {"p": 1, "theta": 1, "vertex_sigma": (0.5, 0, (5, 10))}
+    alone = generate(Gun("mu-", **how), 50, seed=5)
+    assert alone.columns.keys() == generate(Gun("mu-", vertex_spread="particle", **how), 50, seed=5).columns.keys()
+    for name in alone:
+        np.testing.assert_array_equal(
+            alone[name], generate(Gun("mu-", vertex_spread="particle", **how), 50, seed=5)[name]
+        )
+    shared = generate(Gun("mu-", multiplicity=2, **how), 50, seed=5)
+    for axis in "xyz":
+        np.testing.assert_array_equal(shared[axis], np.repeat(alone[axis], 2))
+    with pytest.raises(ParticleError, match="vertex_spread"):
+        Gun("mu-", p=1, theta=1, vertex_spread="gun")
+
+
 def test_values_in_turn_follow_the_event_number():
     """A list is used event by event, counted by event number and not by row."""
     table = generate(MIXED, 7, seed=1, first_event=10)
