@@ -26,6 +26,7 @@ from cgemit.simulation.digitize import without_dead
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
 from cgemit.tables.store import INDEX, StoredTables
+from cgemit.tables.table import stacked
 
 Level = Annotated[str, Check(lambda value: 0 < len(value) <= 100, "off, or the label of a level of the detector")]
 Factor = Annotated[float, Check(lambda value: 0 <= value <= 100, "a number from 0 to 100")]
@@ -314,7 +315,7 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     )  # fmt: skip
     n = len(strips["event"])
     strips |= {"position": np.full(n, np.nan), "truth": np.full(n, -1), "n_truths": np.zeros(n)}
-    columns = _stacked(digis, strips)
+    columns = stacked(digis, strips)
     order, first = _core.by_channel(columns["event"], columns["gid"], np.zeros(len(digis) + n))
     # Several digis of particles in one place are the digitization's own affair: only background gives way.
     kept = order < len(digis)
@@ -325,18 +326,13 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     return digis
 
 
-def _stacked(given: Table, more: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the columns of a table with further rows."""
-    return {name: np.concatenate([given[name], np.asarray(more[name]).astype(given[name].dtype)]) for name in given}
-
-
 def _like(given: Table, columns: Mapping[str, Any], rows: Rows) -> Table:
     return Table(given.kind, {name: one[rows] for name, one in columns.items()}, meta=given.meta, **given.cover)
 
 
 def _earliest(wire_hits: Table, more: Mapping[str, Any]) -> Table:
     """Return wire hits with further ones, of which the earliest of each cell is kept."""
-    columns = _stacked(wire_hits, more)
+    columns = stacked(wire_hits, more)
     order, first = _core.by_channel(columns["event"], columns["gid"], columns["drift_time"])
     return _like(wire_hits, columns, order[first])
 
@@ -442,7 +438,7 @@ def _mixed_cells(given: Table, other: Table, chosen: Rows, shift: Floats) -> Tab
 
 def _mixed_strips(given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
     more, shift = _of_others(given, other, "time", chosen, shift)
-    columns = _stacked(given, more | {"truth": np.full(len(shift), -1), "n_truths": np.zeros(len(shift))})
+    columns = stacked(given, more | {"truth": np.full(len(shift), -1), "n_truths": np.zeros(len(shift))})
     # The first row of a strip is that of the given event.
     order, first = _core.by_channel(columns["event"], columns["gid"], np.zeros(len(columns["event"])))
     found = _like(given, columns, order[first])
@@ -459,7 +455,7 @@ def _of_others(given: Table, other: Table, clock: str, chosen: Rows, shift: Floa
     rows = np.arange(len(event)) + np.repeat(other.offsets[chosen] - np.cumsum(count) + count, count)
     time = other[clock][rows] + shift[event]
     inside = (time >= BEGIN) & (time <= WINDOWS[given.kind])
-    columns = {name: other[name][rows[inside]] for name in given}
+    columns = {name: other[name][rows[inside]] for name in given if name in other}
     return columns | {"event": given.events[event[inside]], clock: time[inside]}, shift[event[inside]]
 
 

@@ -351,7 +351,7 @@ _CLUSTERS = (
     link("truth", "crossing with the largest contribution", "truths"),
     whole("n_truths", "number of crossings that contributed"),
     column_of("i1", "method", "", "0 strip position, 1 position with an error that holds at any incidence"),
-    real("score", "", "ln(likelihood ratio) that X and V of an XV cluster are of one particle"),
+    real("score", "", "ln(likelihood ratio) that X and V of an XV cluster are of one particle; NaN elsewhere"),
 )
 
 
@@ -430,6 +430,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **dict.fromkeys(("candidate_hits.view", "states.surface"), (0, 3)),
         **dict.fromkeys(("side", "decayed"), (-1, 1)),
         "states.view": (-1, 2),
+        "status": (0, 127),
         **{
             f"{table}.status": (0, len(kind.__members__) - 1)
             for table, kind in (
@@ -443,7 +444,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 #: Columns that are NaN where there is no number, whatever the status of the row.
 _MAY_BE_NAN = frozenset(
     {"digis.position", "drift_time", "err_start_time", "states.residual", "states.err", "states.pull"}
-    | {f"{table}.{column.name}" for table in ("clusters", "refined_clusters") for column in _CLUSTERS}
+    | {f"{table}.{one.name}" for table in ("clusters", "refined_clusters") for one in _CLUSTERS if "NaN" in one.doc}
     | {f"matches.{column.name}" for column in MATCHES}
 )
 

@@ -403,6 +403,26 @@ class Table:
         return cls(*formats.load(path))
 
 
+def stacked(table: Rows, more: Mapping[str, npt.ArrayLike]) -> dict[str, Array]:
+    """Return the columns of a table with further rows; columns that these do not have are NaN, -1 or empty there.
+
+    Parameters
+    ----------
+    table : Table
+    more : mapping of str to array_like
+        Columns of the further rows, each (n,): those of the schema, and perhaps others.
+    """
+    n, columns = len(np.asarray(more["event"])), {}
+    for name, column in table.columns.items():
+        if name in more:
+            added = np.asarray(more[name]).astype(column.dtype)
+        else:
+            blank = {"f": np.nan, "c": np.nan, "i": -1}.get(column.dtype.kind, 0)
+            added = np.full((n, *column.shape[1:]), blank).astype(column.dtype)
+        columns[name] = np.concatenate([column, added])
+    return columns
+
+
 def what(given: object) -> str:
     """Return a short description of a value given for a table, for messages."""
     return f"a table of kind {given.kind!r}" if isinstance(given, Table) else type(given).__name__
