@@ -8,10 +8,12 @@ import shutil
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cgemit import _core
 from cgemit.base.isa import cores
 from cgemit.tables import Table
 
@@ -263,18 +265,40 @@ def answers(
 
     With `pending`, no more chunks are begun than the executor needs to stay busy, so that answers do not pile up.
     """
-    pool = workers.executor or ThreadPoolExecutor(workers.threads or cores())
     most = 2 * at_a_time(workers) if pending else len(tasks)
     futures: deque[Future[Answer]] = deque()
-    try:
-        for task in tasks:
-            futures.append(pool.submit(work, *task))
-            if len(futures) >= most:
+    with pool_of(workers) as pool:
+        try:
+            for task in tasks:
+                futures.append(pool.submit(work, *task))
+                if len(futures) >= most:
+                    yield futures.popleft().result()
+            while futures:
                 yield futures.popleft().result()
-        while futures:
-            yield futures.popleft().result()
-    finally:
-        for future in futures:
-            future.cancel()
-        if workers.executor is None:
-            pool.shutdown()
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+@contextmanager
+def pool_of(workers: Workers, tasks: int | None = None) -> Iterator[Executor]:
+    """Yield the executor of workers, or a pool of threads, not more than tasks, whose waiting tasks end with it.
+
+    Ctrl-C ends the tasks that threads of the pool are at work on, too, wherever they are in the core.
+    """
+    if workers.executor is not None:
+        yield workers.executor
+        return
+    threads = workers.threads or cores()
+    with ThreadPoolExecutor(threads if tasks is None else max(1, min(tasks, threads))) as pool:
+        try:
+            yield pool
+        except KeyboardInterrupt:
+            _core.stop_stages(True)
+            try:
+                pool.shutdown(wait=True, cancel_futures=True)
+            finally:
+                _core.stop_stages(False)
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,8 +15,8 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.analysis.widths import SECOND_INSIDE
 from cgemit.base.errors import Problems, WrongValueError
-from cgemit.base.isa import cores
 from cgemit.base.validate import check_whole
+from cgemit.chain.executor import Workers, pool_of
 from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
 from cgemit.detector.keys import Part, once
@@ -89,7 +88,7 @@ class Tracks:
         starts = range(0, n, step)
         if len(starts) == 1:
             return part(0)
-        with ThreadPoolExecutor(self.threads or cores()) as pool:
+        with pool_of(Workers(threads=self.threads)) as pool:
             parts = list(pool.map(part, starts))
         axis = 1 if variants else 0
         return {name: np.concatenate([one[name] for one in parts], axis=axis) for name in parts[0]}

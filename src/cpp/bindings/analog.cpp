@@ -11,6 +11,7 @@
 #include "bindings/digi_tables.hpp"
 #include "bindings/gain_maps.hpp"
 #include "bindings/inputs.hpp"
+#include "bindings/interrupt.hpp"
 #include "bindings/part.hpp"
 #include "bindings/settings.hpp"
 #include "kernels/kernels.hpp"
@@ -177,7 +178,8 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
       .chip = chip(chip_values),
       .share_spread = share_spread,
       .induced = induced_charge(way, induced.first, induced.second, 2 * detector.layers.size()),
-      .seed = seed};
+      .seed = seed,
+      .interrupted = interrupted};
   check(readout);
   const GainMaps gains = gain_maps(detector, gain_table);
   Columns<DigiRow> digis;
@@ -185,6 +187,7 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
     py::gil_scoped_release release;
     kernels().read_out_analog(detector, truths, steps, readout, gains, digis);
   }
+  throw_if_interrupted();
   return to_dict(std::move(digis));
 }
 

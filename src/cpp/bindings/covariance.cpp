@@ -3,6 +3,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include "bindings/interrupt.hpp"
 #include "bindings/rows.hpp"
 #include "bindings/settings.hpp"
 #include "common/angles.hpp"
@@ -79,7 +80,8 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                               .efficiencies = efficiencies.size() == 0
                                                   ? std::span<const double>()
                                                   : matrix(efficiencies, "efficiencies", n, views / 2),
-                              .variants = variants};
+                              .variants = variants,
+                              .interrupted = interrupted};
   const BudgetTerms names(detector);
   std::vector<CovarianceRow> rows(static_cast<std::size_t>(n) * (1 + variants.size()));
   const std::size_t points = static_cast<std::size_t>(n) / samples;
@@ -93,6 +95,7 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                      {rows.data(), budget ? reinterpret_cast<BudgetTerm*>(sums.data()) : nullptr,
                       hits ? &expected : nullptr});
   }
+  throw_if_interrupted();
   RowColumns<CovarianceRow> of_track(rows.size());
   of_track.add("covariance", &CovarianceRow::covariance, {static_cast<py::ssize_t>(covariance_entries)})
       .add("n_clusters", &CovarianceRow::clusters)

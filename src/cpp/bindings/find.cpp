@@ -5,6 +5,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
 #include "bindings/inputs.hpp"
+#include "bindings/interrupt.hpp"
 #include "bindings/part.hpp"
 #include "bindings/settings.hpp"
 
@@ -64,8 +65,9 @@ py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_off
     py::gil_scoped_release release;
     std::vector<Hit> hits;
     columns.take(0, static_cast<std::size_t>(offsets.back()), hits);
-    found = find_tracks(detector, {offsets, hits, std::move(pairs)}, settings);
+    found = find_tracks(detector, {offsets, hits, std::move(pairs), interrupted}, settings);
   }
+  throw_if_interrupted();
   py::dict out;
   out["event"] = to_numpy(std::move(found.event));
   out["offsets"] = to_numpy(std::move(found.offsets));

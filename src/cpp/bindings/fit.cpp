@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "bindings/hits.hpp"
+#include "bindings/interrupt.hpp"
 #include "bindings/rows.hpp"
 #include "bindings/settings.hpp"
 #include "detector/start_radius.hpp"
@@ -81,7 +82,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
     std::vector<LastIteration> last_rows;
     std::vector<Measured> measured_rows;
     std::vector<KinkRow> kink_rows;
-    for (std::size_t begin = 0, tracks = 0; begin < n; begin += tracks) {
+    for (std::size_t begin = 0, tracks = 0; begin < n && !interrupted(); begin += tracks) {
       tracks = begins.alike(begin, std::min(begin + block_of_tracks, n));
       const auto first = static_cast<std::size_t>(offsets[begin]),
                  count = static_cast<std::size_t>(offsets[begin + tracks]) - first;
@@ -93,7 +94,8 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
       kink_rows.resize(states ? tracks * slabs : 0);
       const FitInput input{
           offsets.subspan(begin, tracks + 1), hits, side.subspan(first, count), mass.subspan(begin, tracks),
-          seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>()};
+          seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>(),
+          interrupted};
       fit(begins.of(begin), input, settings,
           {track_rows.data(), residuals ? hit_rows.data() : nullptr, states ? last_rows.data() : nullptr,
            states ? measured_rows.data() : nullptr, states ? kink_rows.data() : nullptr});
@@ -104,6 +106,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
       kinks.append(kink_rows);
     }
   }
+  throw_if_interrupted();
   py::dict out;
   of_track.give(out);
   if (residuals) of_hit.give(out);

@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 
 void bind_status(pybind11::module_& module);
+void bind_interrupt(pybind11::module_& module);
 void bind_rng(pybind11::module_& module);
 void bind_field(pybind11::module_& module);
 void bind_detector(pybind11::module_& module);
@@ -25,6 +26,7 @@ void bind_testing(pybind11::module_& core);
 PYBIND11_MODULE(_core, module, pybind11::mod_gil_not_used()) {
   module.doc() = "Compiled core of cgemit: kernels on columns of numbers.";
   bind_status(module);
+  bind_interrupt(module);
   bind_rng(module);
   bind_field(module);
   bind_detector(module);

@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "bindings/arrays.hpp"
+#include "bindings/interrupt.hpp"
 #include "kernels/kernels.hpp"
 
 namespace py = pybind11;
@@ -71,12 +72,14 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
                                   .deltas = deltas,
                                   .steps = steps,
                                   .decays = decays ? &*decays : nullptr,
-                                  .half_turns = half_turns};
+                                  .half_turns = half_turns,
+                                  .interrupted = interrupted};
   Simulated out;
   {
     py::gil_scoped_release release;
     kernels().simulate(detector, in, settings, seed, out);
   }
+  throw_if_interrupted();
   std::vector<std::int8_t> status;
   status.reserve(out.status.size());
   for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));

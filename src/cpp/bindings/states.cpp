@@ -9,6 +9,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
+#include "bindings/interrupt.hpp"
 #include "common/angles.hpp"
 #include "common/problems.hpp"
 #include "detector/start_radius.hpp"
@@ -159,7 +160,7 @@ py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_off
     py::gil_scoped_release release;
     StateSpace space;
     std::vector<TrackState> found;
-    for (std::size_t i = 0; i < mass.size(); ++i) {
+    for (std::size_t i = 0; i < mass.size() && !interrupted(); ++i) {
       const auto first = static_cast<std::size_t>(offsets[i]),
                  count = static_cast<std::size_t>(offsets[i + 1]) - first;
       const double* r = reference.data() + 5 * i;
@@ -174,6 +175,7 @@ py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_off
       add_track(found, targets, i, first, count, out);
     }
   }
+  throw_if_interrupted();
   return out.columns();
 }
 
@@ -196,7 +198,7 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
   Output out;
   {
     py::gil_scoped_release release;
-    for (std::size_t i = 0; i < mass.size(); ++i) {
+    for (std::size_t i = 0; i < mass.size() && !interrupted(); ++i) {
       TrackState found{StateStatus::not_fitted, -1, {}, 0, 0};
       found.state = load(pivot.data() + 3 * i, helix.data() + 5 * i, covariance.data() + 25 * i);
       if (found.state.c.allFinite() && std::isfinite(mass[i]) && found.state.helix.kappa != 0)
@@ -204,6 +206,7 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
       out.add(found, static_cast<std::int64_t>(i), 0, -1);
     }
   }
+  throw_if_interrupted();
   return out.columns();
 }
 

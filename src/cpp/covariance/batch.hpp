@@ -29,7 +29,7 @@ class CovarianceBatch {
   }
 
   void run() {
-    for (std::size_t first = 0; first < input_.tracks();) {
+    for (std::size_t first = 0; first < input_.tracks() && !input_.interrupted();) {
       std::size_t n = 1;
       if (first % input_.samples == 0 && turned_only(first) && run_point(first)) {
         n = input_.samples;

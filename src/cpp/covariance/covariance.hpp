@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "common/interrupt.hpp"
 #include "common/status.hpp"
 #include "kalman/group.hpp"
 
@@ -39,6 +40,7 @@ struct CovarianceInput {
   std::size_t samples;
   std::span<const double> phases, efficiencies;
   std::span<const Detector* const> variants;
+  Interrupted interrupted = never_interrupted;
 
   std::size_t tracks() const { return psi.size(); }
 };

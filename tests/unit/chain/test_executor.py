@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
+import cgemit as cg
+from cgemit import _core
 from cgemit.base import isa
 from cgemit.chain.executor import Workers, at_a_time, chunk_for
 from cgemit.chain.run import run
@@ -74,3 +80,52 @@ def test_a_process_has_the_cores_that_it_may_use() -> None:
         assert (isa.cores(), at_a_time(Workers())) == (1, 1)
     finally:
         os.sched_setaffinity(0, all_of_them)
+
+
+ENDLESS = cg.FitSettings(max_iterations=2**31 - 1, tolerance=1e-300)
+
+
+def tracks_of(where):
+    """Fit without end: in the threads of a run, in its own thread, or in the main thread."""
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
+    if where == "run":
+        return cg.run("besiii-cgem-design", gun, 50, settings=cg.Settings(fit=ENDLESS), workers=2)
+    found = cg.run("besiii-cgem-design", gun, 50)
+    hits = {name: found.tables[name] for name in ("clusters", "wire_hits", "candidates", "candidate_hits")}
+    return cg.fit(found.detector, **hits, settings=ENDLESS)
+
+
+@pytest.mark.parametrize("where", ["run", "fit"])
+def test_ctrl_c_ends_a_fit_without_end(where):
+    """The stage hears it wherever it is in the core, and nothing goes on afterwards."""
+    before = threading.active_count()
+    timer = threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        tracks_of(where)
+    assert time.monotonic() - begin < 30
+    timer.join()
+    assert threading.active_count() == before
+    gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
+    assert len(cg.run("besiii-cgem-design", gun, 5).tracks) == 5  # which is not stopped, too
+
+
+def test_stages_at_work_on_any_thread_are_stopped():
+    """Every stage that loops over events gives up what it has; the same call works when nothing stops it."""
+    found = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 20)
+    calls = {
+        "simulate": lambda: cg.simulate(found.detector, found.particles, seed=1),
+        "find": lambda: cg.find_tracks(found.detector, found.clusters, found.wire_hits),
+        "covariance": lambda: cg.analytic(found.detector, "mu-", p=[0.5, 1.0]),
+    }
+    for call in calls.values():
+        _core.stop_stages(True)
+        try:
+            with ThreadPoolExecutor(1) as pool:
+                assert isinstance(pool.submit(call).exception(), KeyboardInterrupt)
+            with pytest.raises(KeyboardInterrupt):
+                call()
+        finally:
+            _core.stop_stages(False)
+        call()

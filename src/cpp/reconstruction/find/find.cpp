@@ -255,7 +255,7 @@ FindOutput find_tracks(const Detector& detector, const FindInput& input, const F
   FindOutput out;
   out.offsets.push_back(0);
   EventFinder finder(detector, settings, input.pairs);
-  for (std::size_t event = 0; event + 1 < input.offsets.size(); ++event) {
+  for (std::size_t event = 0; event + 1 < input.offsets.size() && !input.interrupted(); ++event) {
     const auto first = static_cast<std::size_t>(input.offsets[event]),
                last = static_cast<std::size_t>(input.offsets[event + 1]);
     for (const FoundTrack& track :

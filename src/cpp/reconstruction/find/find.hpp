@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "common/interrupt.hpp"
 #include "kalman/group.hpp"
 #include "reconstruction/find/pair_scores.hpp"
 
@@ -34,6 +35,7 @@ struct FindInput {
   std::span<const std::int64_t> offsets;
   std::span<const Hit> hits;
   PairScores pairs = {};
+  Interrupted interrupted = never_interrupted;
 };
 
 // Limits that a search has reached, each a bit. Names are those of `cgemit.reconstruction.find.ckf`.

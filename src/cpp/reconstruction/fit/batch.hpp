@@ -20,7 +20,7 @@ class BatchFit {
         settings_(settings),
         out_(output),
         builder_(detector),
-        fit_(detector, settings, group_) {}
+        fit_(detector, settings, group_, input.interrupted) {}
 
   void run() {
     std::vector<Start> starts;
@@ -175,7 +175,7 @@ class BatchFit {
         return mass_a != mass_b ? mass_a < mass_b : a.key < b.key;
       });
     }
-    for (std::size_t first = 0; first < starts.size();) {
+    for (std::size_t first = 0; first < starts.size() && !input_.interrupted();) {
       const Projectile kind = kind_of(starts[first]);
       std::size_t n = 1;
       while (n < width && first + n < starts.size() && kind_of(starts[first + n]) == kind) ++n;

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <span>
 
+#include "common/interrupt.hpp"
 #include "common/status.hpp"
 #include "kalman/group.hpp"
 
@@ -34,6 +35,7 @@ struct FitInput {
   std::span<const std::int8_t> side;
   std::span<const double> mass;    // GeV
   std::span<const Perigee> start;  // one per track, or empty
+  Interrupted interrupted = never_interrupted;
 
   std::size_t tracks() const { return offsets.size() - 1; }
   std::size_t first(std::size_t track) const { return static_cast<std::size_t>(offsets[track] - offsets[0]); }

@@ -16,8 +16,8 @@ namespace cgemit {
 template <class T>
 class GroupFit {
  public:
-  GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group)
-      : detector_(detector), settings_(settings), group_(group) {}
+  GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group, Interrupted interrupted)
+      : detector_(detector), settings_(settings), group_(group), interrupted_(interrupted) {}
 
   // Fits from `start`; `spread` (mm) is the distance of most hits from it. `wires_first`: the unknown sides
   // are determined from the wires alone before the clusters join. `kinks`: slow tracks get kinks.
@@ -41,8 +41,10 @@ class GroupFit {
       prior[i] = sigma * sigma;
     });
     variance_ = prior;
-    for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_)
+    for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_) {
+      if (iteration_ % iterations_per_check == iterations_per_check - 1 && interrupted_()) return;
       iterate(prior, mass, projectile);
+    }
   }
 
   // Whether slow tracks may have kinks at all.
@@ -51,6 +53,7 @@ class GroupFit {
   }
 
  private:
+  static constexpr int iterations_per_check = 16;  // of whether the fit is interrupted
   static constexpr int rough_iterations = 2;
   static constexpr int patient_iterations = 6;
   static constexpr int impatient_iterations =
@@ -341,6 +344,7 @@ class GroupFit {
   const Detector& detector_;
   const FitSettings& settings_;
   Group<T>& group_;
+  Interrupted interrupted_;
   PerigeeOf<T> helix_;            // linearisation point of the next iteration
   LinearisedAbout<T> reference_;  // linearisation point of this iteration
   Five<T> variance_;              // of the previous iteration

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <span>
 
+#include "common/interrupt.hpp"
 #include "detector/detector.hpp"
 #include "detector/strip_maps.hpp"
 #include "simulation/digitize/avalanche.hpp"
@@ -22,6 +23,7 @@ struct AnalogModel {
   double share_spread;  // standard deviation of ln(charge on X / charge on V) from crossing to crossing
   InducedCharge induced;
   std::uint64_t seed;
+  Interrupted interrupted = never_interrupted;
 };
 
 // One row per strip above threshold, ordered by event, layer, sheet, view, strip. Every truth needs all its

@@ -217,7 +217,7 @@ void read_out_analog_lanes(const Detector& detector, const TruthColumns& truths,
   check(truths, detector);
   check(steps, truths, detector);
   EventReadout<T> event(detector, truths, steps, readout, gains);
-  for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
+  for (std::size_t begin = 0, end; begin < truths.size() && !readout.interrupted(); begin = end) {
     end = event_end(truths.event, begin);
     event.read(begin, end);
   }

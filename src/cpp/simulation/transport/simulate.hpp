@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "common/interrupt.hpp"
 #include "common/rng.hpp"
 #include "common/status.hpp"
 #include "detector/detector.hpp"
@@ -23,6 +24,7 @@ struct SimulateSettings {
   bool steps;                // also the particle's own ionization clusters
   const DecayTable* decays;  // null: nothing decays
   int half_turns;            // most of a particle: from perigee to apex, or back; 1 to most_half_turns
+  Interrupted interrupted = never_interrupted;
 };
 
 // One row per generated particle; all columns of one length.
