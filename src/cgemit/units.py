@@ -50,6 +50,8 @@ _UNITS: dict[str, dict[str, Decimal]] = {
     "dimensionless": {"": Decimal(1), "%": Decimal("1e-2")},
 }  # fmt: skip
 
+#: Characters of a quantity; the time to read one grows with the square of its blanks.
+LONGEST = 200
 _QUANTITY = re.compile(r"\s*([+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|nan))\s*(.*?)\s*", re.IGNORECASE)
 
 
@@ -96,7 +98,7 @@ def parse_quantity(text: object, dimension: str) -> float:
         return _finite(_float(text), _quoted(text), expected)
     if isinstance(text, int | float) and not isinstance(text, bool):
         raise QuantityError(f"{_quoted(text)} (no unit)", expected, _unit_hint(_float(text), dimension))
-    match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+    match = _QUANTITY.fullmatch(text) if isinstance(text, str) and len(text) <= LONGEST else None
     if not match:
         raise QuantityError(_quoted(text), expected)
     number, unit = match.groups()

@@ -14,7 +14,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from cgemit.base.errors import Problem, Problems, ProblemsError, reason
-from cgemit.base.files import RECORD, parse_toml, read_text
+from cgemit.base.files import RECORD, parse_toml, read_json, read_text
 from cgemit.base.settings import SettingsData, SettingsError
 from cgemit.base.validate import InTurn
 from cgemit.base.version import __version__
@@ -233,11 +233,11 @@ def recorded_settings(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         If it is no such file.
     """
     try:
-        tables = json.loads(read_text(path))
+        tables = read_json(path)
         if tables["format"] == FORMAT and isinstance(tables["settings"], Mapping):
             return tables["settings"]
         given = f"format {tables['format']!r:.50}"
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         given = reason(error)
     raise SettingsError(str(path), [Problem("", given, f"a TOML file of settings, or the {RECORD} of a run")])
 
@@ -248,8 +248,8 @@ def _read_record(folder: Path, problems: Problems) -> dict[str, Any]:
     if not path.is_file():
         raise FileNotFoundError(f"{folder} holds no complete run ({RECORD} is missing)")
     try:
-        entries = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        entries = read_json(path)
+    except ValueError as error:
         problems.note(RECORD, str(error), "a JSON file")
         return {}
     if not isinstance(entries, dict) or entries.get("format") != FORMAT:

@@ -17,9 +17,9 @@ from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.find.ckf import BEYOND
 from cgemit.simulation.transport import transport_counts
-from cgemit.tables import SCHEMAS, Table, save_tables, select_events
+from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.formats import check_format
-from cgemit.tables.store import StoredTables, about_of, column_of
+from cgemit.tables.store import StoredTables, about_of, column_of, write_tables
 from cgemit.tables.table import what
 
 #: Columns that `Result.tracks` takes from the matches.
@@ -260,14 +260,15 @@ class Result:
         Raises
         ------
         OutputExistsError
-            If the folder holds files and `overwrite` is false, or files that are not of earlier results.
+            If the folder holds files and `overwrite` is false, or files that are not of earlier results or were
+            changed.
         ValueError
             If the format is unknown, or needs a package that is not installed.
         """
         check_format(format)
         entries = self.entries(command)
         with new_folder(folder, overwrite=overwrite) as place:
-            files = save_tables(self.tables, place, format=format)
+            files = write_tables(self.tables, place, format)
             files += write_about(place, detectors_of(self.detector, self.fit_detector), entries)
             names = [path.name for path in files]
         return [Path(folder) / name for name in names]

@@ -106,6 +106,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(list(sys.argv[1:] if argv is None else argv))
 
 
+_OF_INPUT = (ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError)
+
+
 def _run(argv: list[str]) -> int:
     arguments = argparse.Namespace()
     try:
@@ -117,12 +120,11 @@ def _run(argv: list[str]) -> int:
         return int(stop.code or OK)
     except KeyboardInterrupt:
         return _interrupted()
-    except (ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError) as error:
-        return _report(error, BAD_INPUT, getattr(arguments, "debug", False))
     except Exception as error:
         if _comes_from_interrupt(error):
             return _interrupted()
-        return _report(error, RUN_FAILED, getattr(arguments, "debug", False))
+        code = BAD_INPUT if isinstance(error, _OF_INPUT) else RUN_FAILED
+        return _report(error, code, getattr(arguments, "debug", False))
 
 
 def _interrupted() -> int:

@@ -42,9 +42,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("plan", metavar="PLAN", help="what is varied, minimized and limited: a TOML file")
     parser.add_argument(
-        "-o", "--output", required=True, metavar="DIR", help="folder for the results; designs that it holds are kept"
+        "-o", "--output", required=True, metavar="DIR", help="folder for the results; one of this plan is continued"
     )
-    parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
+    options.add_overwrite(parser, "replace the results in the folder, and compute everything anew")
     options.add_set(parser, "change one value of the plan, such as search.calls=50; may be repeated")
     parser.add_argument(
         "--confirm",
@@ -75,12 +75,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -> None:
+    from cgemit.base.files import add_files
+
     if not result.front:
         problems = dict.fromkeys(filter(None, result.columns["problems"]))
         raise options.RunFailedError("\n  ".join([result.message, *list(problems)[:10]]))
     kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]
-    for kind in kinds:
-        result.draw(kind).save(output / kind, overwrite=True)
+    with add_files(output) as place:
+        for kind in kinds:
+            result.draw(kind).save(place / kind)
     options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
     if arguments.confirm:
         confirmation = result.confirm(events=arguments.confirm)

@@ -6,7 +6,6 @@ import argparse
 import math
 import os
 import sys
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, ParamSpec, TextIO, TypeVar
@@ -335,9 +334,11 @@ def _listed(value: object) -> list[object]:
 
 def literal(text: str) -> object:
     """Read a value as in a TOML file; strings need no quotes, since the shell removes them."""
+    from cgemit.base.files import parse_toml
+
     try:
-        tables = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+        tables = parse_toml(f"value = {text}")
+    except ValueError:
         return text
     return tables["value"] if len(tables) == 1 else text  # more than one line: not a value
 
@@ -473,9 +474,12 @@ def add_output(
     """Add the output folder and `--overwrite`."""
     about += f" (default {default})" if default else ""
     parser.add_argument("-o", "--output", metavar="DIR", default=default, required=required, help=about)
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace the results in a folder that holds nothing else"
-    )
+    add_overwrite(parser, "replace the results in a folder that holds nothing else")
+
+
+def add_overwrite(parser: argparse.ArgumentParser, about: str) -> None:
+    """Add `--overwrite`."""
+    parser.add_argument("--overwrite", action="store_true", help=f"{about}; files that were changed since stay")
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:

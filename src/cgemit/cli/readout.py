@@ -94,10 +94,10 @@ def _fit(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     if target.exists() and not arguments.overwrite:
         raise options.InputError(f"--fit: got {target}, which exists; expected another file, or --overwrite")
     how = {"n": arguments.events or 3000, "seed": arguments.seed, "threads": arguments.threads}
-    with options.progress_bar(arguments, "readout") as progress:
-        found = fit_errors(readout, **how, progress=progress)
-    text = as_toml(readout.name, found)
     with new_file(target, overwrite=arguments.overwrite) as temporary:
+        with options.progress_bar(arguments, "readout") as progress:
+            found = fit_errors(readout, **how, progress=progress)
+        text = as_toml(readout.name, found)
         temporary.write_text(text, encoding="utf-8")
     options.say(text)
     options.say("pulls of clusters that know their track, in other designs: median, core width, share beyond 3")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -194,19 +193,14 @@ def run(arguments: argparse.Namespace) -> int:
     how["finder"] = arguments.finder or "truth"
     check_format(arguments.format)
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
-        parts = folder / "run" / "parts"  # deeper, since the folder itself is locked
         if arguments.keep is not None:
             keep = None if arguments.keep == ("all",) else arguments.keep
-            how |= {"keep": keep, "output": Output(parts, arguments.format, command=arguments.line)}
+            how |= {"keep": keep, "output": Output(folder, arguments.format, command=arguments.line)}
         with options.progress_bar(arguments, "simulate") as progress:
             result = run_chain(detector, gun, arguments.events, arguments.seed, progress=progress, **how)
         if arguments.keep is None:
             result.save(folder, command=arguments.line, format=arguments.format)
         summary, text = _summary(result), repr(result)
-        if arguments.keep is not None:
-            for path in parts.iterdir():
-                path.rename(folder / path.name)
-            shutil.rmtree(parts.parent)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     options.say(json.dumps(summary, indent=2) if arguments.json else text)
     if fits and arguments.keep is None and median_error(result.tracks, "p_rel") > 100:

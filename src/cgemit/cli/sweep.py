@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
+from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,12 +31,27 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
 
 def workers(arguments: argparse.Namespace, stack: ExitStack) -> Executor | int | None:
     """Return the processes that are asked for, which end with `stack`, or the number of threads."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
     if arguments.processes:
-        return stack.enter_context(ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")))
+        return stack.enter_context(_processes(arguments.processes))
     return arguments.threads  # type: ignore[no-any-return]
+
+
+@contextmanager
+def _processes(number: int) -> Iterator[Executor]:
+    """Yield a pool of processes; Ctrl-C in this one ends them, whatever they are at."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import active_children, get_context
+
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    pool = ProcessPoolExecutor(number, get_context("spawn"), initializer=signal.signal, initargs=ignore)
+    try:
+        yield pool
+    except KeyboardInterrupt:
+        for child in active_children():
+            child.kill()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 DESCRIPTION = """\
@@ -60,8 +77,10 @@ a plan:
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("plan", nargs="?", metavar="PLAN", help="what is varied and evaluated: a TOML file")
-    parser.add_argument("-o", "--output", metavar="DIR", help="folder for the results; parts that it holds are kept")
-    parser.add_argument("--overwrite", action="store_true", help="compute everything anew")
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder for the results; one of this plan is continued")
+    options.add_overwrite(
+        parser, "replace the results in the folder, and compute everything (with --array-index: this part) anew"
+    )
     options.add_set(parser, "change one value of the plan, such as evaluate.events=500; may be repeated")
     parser.add_argument(
         "--array-index", type=_part, metavar="I/N",
@@ -126,11 +145,14 @@ def _places(arguments: argparse.Namespace) -> tuple[str, str]:
 
 
 def _report(result: Sweep, draw: Any, output: Path, arguments: argparse.Namespace) -> None:
+    from cgemit.base.files import add_files
+
     rows = zip(*(result.columns[name] for name in ("variant", "status", "problems")), strict=True)
     varied = [(status, problems) for number, status, problems in rows if number > 0]
     if all(status != "ok" for status, _ in varied):
         reasons = dict.fromkeys(problems for _, problems in varied if problems)
         raise options.RunFailedError("\n  ".join(["no variant could be evaluated", *list(reasons)[:10]]))
-    result.draw(draw.quantity, **({"kind": draw.kind} if draw.kind else {})).save(output / "sweep", overwrite=True)
+    with add_files(output) as place:
+        result.draw(draw.quantity, **({"kind": draw.kind} if draw.kind else {})).save(place / "sweep")
     options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
     options.note(arguments, f"table: {output}/sweep.csv, picture: {output}/sweep.png")

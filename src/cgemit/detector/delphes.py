@@ -73,14 +73,17 @@ def read_card(path: str | Path) -> dict[str, Any]:
 
 def _tables(text: str, source: str, name: str) -> dict[str, Any]:
     """Return the tables of the text of a card."""
-    found = re.search(r"set\s+DetectorGeometry\s*\{(.*?)\}", text, re.DOTALL)
-    if not found:
+    # The end of the block is looked for once: a pattern would look for it from each of many beginnings.
+    begin = re.search(r"\bset[ \t]{1,80}DetectorGeometry\s{0,80}\{", text)
+    end = text.find("}", begin.end()) if begin else -1
+    if begin is None or end < 0:
         raise DetectorError(source, [Problem("", "no block DetectorGeometry", "a card with TrackCovariance")])
-    field = re.search(r"^\s*set\s+Bz?\s+([-+.\deE]+)\s*$", text, re.MULTILINE)
+    fields = (re.fullmatch(r"set +Bz? +([-+.\deE]+)", " ".join(line.split())) for line in text.splitlines())
+    field = next(filter(None, fields), None)
     problems: list[Problem] = []
     if not field:
         problems.append(Problem("B", "no field", "a line such as: set B 2.0"))
-    rows, disks = _rows(found[1], text[: found.start(1)].count("\n") + 1, problems)
+    rows, disks = _rows(text[begin.end() : end], text[: begin.end()].count("\n") + 1, problems)
     if problems:
         raise DetectorError(source, problems)
     left = f"; left out: {len(disks)} disks ({', '.join(dict.fromkeys(disks))})" if disks else ""

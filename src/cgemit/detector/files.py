@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit.base.errors import DetectorError, Problem, did_you_mean
-from cgemit.base.files import check_regular, new_file, parse_toml, read_npz, read_text
+from cgemit.base.files import new_file, parse_toml, read_npz, read_text
 from cgemit.detector.field import Column, Columns, FieldGrid, checked_grid, names_in
 from cgemit.detector.reader import merged
 from cgemit.units import NATIVE, QuantityError, parse_quantity, units_of
@@ -399,10 +399,7 @@ def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
 def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
     """Return the columns of a file as axes and arrays on the grid, in mm and T."""
     try:
-        check_regular(path)
-        if path.stat().st_size > _LARGEST_CSV:
-            raise ValueError(f"{path.stat().st_size} bytes, expected at most {_LARGEST_CSV}")
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line and line[0] != "#"]
+        lines = [line for line in read_text(path, _LARGEST_CSV).splitlines() if line and line[0] != "#"]
     except (OSError, ValueError) as error:
         problems.append(Problem("", str(error), "a text file"))
         return None

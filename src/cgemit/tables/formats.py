@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cgemit.base.errors import did_you_mean
-from cgemit.base.files import MissingPackageError, check_unpacked, new_file, package, read_npz
+from cgemit.base.files import MissingPackageError, check_regular, check_unpacked, new_file, package, read_npz
 from cgemit.base.version import __version__
 from cgemit.tables.schema import Array, Rows, schema_of
 
@@ -219,6 +219,7 @@ def _read(path: Path, names: Collection[str] | None) -> Stored:
     """Return columns and description of a file, which agree."""
     form = BY_SUFFIX.get(path.suffix, FORMATS["npz"])
     try:
+        check_regular(path)
         arrays, about = form.read(path, names)
     except (FileNotFoundError, MissingPackageError):
         raise

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cgemit.base.files import new_file, read_text
+from cgemit.base.files import add_files, new_file, read_json
 from cgemit.tables.formats import BY_SUFFIX, FORMATS, check_format, describe, load, load_columns, save
 from cgemit.tables.schema import Array, Rows, schema_of
 from cgemit.tables.table import Table, lost_links, moved_links, targets
@@ -48,7 +48,8 @@ def save_tables(
     Raises
     ------
     FileExistsError
-        If one of the files exists and `overwrite` is false; nothing is written then.
+        If one of the files exists and `overwrite` is false; with `overwrite`, if it was not written by this function,
+        or was changed since. Nothing is written then.
     ValueError
         If the format is unknown, needs a package that is not installed, or cannot hold a column.
 
@@ -66,11 +67,18 @@ def save_tables(
     existing = [str(path) for path in (*paths.values(), index) if path.exists()]
     if existing and not overwrite:
         raise FileExistsError(f"{', '.join(existing)} would be replaced; pass overwrite=True to do so")
-    folder.mkdir(parents=True, exist_ok=True)
-    index.unlink(missing_ok=True)
-    for name, table in tables.items():
-        save(table, paths[name], overwrite=overwrite, form=format)
-    return [*paths.values(), write_index(folder, {name: entry(table, suffix) for name, table in tables.items()})]
+    with add_files(folder) as place:
+        write_tables(tables, place, format)
+    return [*paths.values(), index]
+
+
+def write_tables(tables: Mapping[str, Rows], folder: Path, format: str) -> list[Path]:
+    """Write tables and their description to a folder that holds nothing of these names; return the files."""
+    suffix = FORMATS[check_format(format)].suffix
+    paths = [folder / f"{name}{suffix}" for name in tables]
+    for path, table in zip(paths, tables.values(), strict=True):
+        save(table, path, form=format)
+    return [*paths, write_index(folder, {name: entry(table, suffix) for name, table in tables.items()})]
 
 
 def entry(table: Rows, suffix: str) -> dict[str, Any]:
@@ -92,8 +100,8 @@ def read_index(directory: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
     if not index.exists():
         raise FileNotFoundError(f"{directory} holds no complete set of tables ({INDEX} is missing)")
     try:
-        tables = json.loads(read_text(index, _LARGEST))
-    except (ValueError, RecursionError) as error:
+        tables = read_json(index, _LARGEST)
+    except ValueError as error:
         raise ValueError(f"{index} is damaged ({error})") from error
     if not isinstance(tables, dict) or not all(isinstance(about, dict) for about in tables.values()):
         raise ValueError(f"{index} is damaged (expected an object with a key for each table)")

@@ -8,13 +8,15 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cgemit.base.files import CONTENTS, OutputExistsError, new_file, new_folder, read_npz
+from cgemit.base import files
+from cgemit.base.files import CONTENTS, OutputExistsError, new_file, new_folder, parse_toml, read_json, read_npz
 from cgemit.base.settings import SettingsError
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
@@ -22,7 +24,10 @@ from cgemit.cli.main import main
 from cgemit.detector import DetectorError, load, read_field_map, write_field_map
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.fit import FitSettings
+from cgemit.study.optimize.run import read_optimize_plan
+from cgemit.study.sweep.plan import PlanError, read_plan
 from cgemit.tables import Table, load_tables
+from cgemit.units import QuantityError, parse_quantity
 
 GUN = Gun("mu-", p=1, theta=1)
 
@@ -66,23 +71,6 @@ def test_runs_at_the_same_time_never_mix(tmp_path):
     last = (folder / "run.json").read_text()
     assert names(folder) == [f"{last}.txt", "run.json"]
     assert names(tmp_path) == ["out"]
-
-
-def test_a_folder_that_another_run_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
-    opened = os.open
-    removed = []
-
-    def remove_first(path, flags, *args, **kwargs):
-        if not removed and str(path).endswith(".tmp"):
-            removed.append(path)
-            Path(path).rmdir()
-        return opened(path, flags, *args, **kwargs)
-
-    monkeypatch.setattr(os, "open", remove_first)
-    write(tmp_path / "out", "1")
-    assert removed
-    assert names(tmp_path) == ["out"]
-    assert names(tmp_path / "out") == ["1.txt", "run.json"]
 
 
 def test_overwriting_replaces_the_tables_as_a_set(tmp_path):
@@ -215,6 +203,88 @@ def test_the_current_folder_stays_the_same(tmp_path, monkeypatch):
     assert names(tmp_path) == ["2.txt", "run.json"]
 
 
+HOLD = """
+import fcntl, sys, time
+fcntl.flock = lambda *_: None  # the locks of another host are not seen
+from cgemit.base import files
+files.BEAT = 0.1
+if sys.argv[2] != "here":
+    files._host = lambda: "0123abcd"
+with files.new_folder(sys.argv[1]) as place:
+    (place / "mine").write_text("mine")
+    print(place, flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.mark.parametrize("host", ["here", "there"])
+def test_runs_in_one_folder_leave_each_other_alone_without_locks(host, tmp_path, monkeypatch):
+    """Of this host, processes that are alive are known; of others, those with a heartbeat."""
+    monkeypatch.setattr("fcntl.flock", lambda *_: None)
+    monkeypatch.setattr(files, "SILENCE", 1.5)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "A", host], **pipes) as process:
+        left = Path(process.stdout.readline().strip())
+        for _ in range(10):
+            write(tmp_path / "B", "1", overwrite=True)
+            assert (left / "mine").exists()
+            time.sleep(0.25)
+        process.communicate("end")
+        assert process.returncode == 0
+    assert names(tmp_path) == ["A", "B"]
+    assert names(tmp_path / "A") == ["mine"]
+    with subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "C", host], **pipes) as process:
+        left = Path(process.stdout.readline().strip())
+        process.kill()
+        process.wait()
+    write(tmp_path / "B", "2", overwrite=True)
+    assert left.exists() == (host == "there")  # its heartbeat was a moment ago
+    time.sleep(2)
+    write(tmp_path / "B", "3", overwrite=True)
+    assert names(tmp_path) == ["A", "B"]
+
+
+def test_folders_that_only_look_temporary_stay(tmp_path):
+    for name in (".cgemit-mine.tmp", ".cgemit-12345678.tmp"):
+        (tmp_path / name).mkdir()
+    with new_file(tmp_path / "file") as temporary:
+        temporary.touch()
+    assert names(tmp_path) == [".cgemit-12345678.tmp", ".cgemit-mine.tmp", "file"]
+
+
+def test_a_process_number_that_another_process_has_now_is_no_owner(tmp_path):
+    number, start = os.getpid(), files._started(os.getpid())
+    assert files._started(2**22 + 1) == -1
+    alive, reused, gone = (
+        tmp_path / f".cgemit-{files._host()}-{who}-{when}-00000000.tmp"
+        for who, when in ((number, start), (number, start + 1), (2**22 + 1, start))
+    )
+    for folder in (alive, reused, gone):
+        folder.mkdir()
+    files.remove_left(tmp_path)
+    assert list(tmp_path.iterdir()) == [alive] if start else [alive, reused]
+
+
+def test_of_two_hosts_without_common_locks_one_gets_the_folder(tmp_path, monkeypatch):
+    """Both found the place free; the file system decides."""
+    monkeypatch.setattr("fcntl.flock", lambda *_: None)
+    checked = files.check_free
+
+    def late(path, **how):
+        target = checked(path, **how)
+        monkeypatch.setattr(files, "check_free", checked)
+        write(path, "other")
+        return target
+
+    with (  # noqa: PT012
+        pytest.raises(OutputExistsError, match="already holds files"),
+        new_folder(tmp_path / "out") as place,
+    ):
+        (place / "run.json").write_text("mine")
+        monkeypatch.setattr(files, "check_free", late)
+    assert names(tmp_path / "out") == ["other.txt", "run.json"]
+
+
 @pytest.mark.parametrize("length", [200, 230, 255])
 def test_names_as_long_as_the_file_system_has_them(length, tmp_path):
     write(tmp_path / ("x" * length), "1")
@@ -320,11 +390,22 @@ def test_the_number_of_events_must_be_that_of_the_offsets(table_file, tmp_path):
         Table.empty("truths", 10**12)
 
 
-READERS = {Table.load: ValueError, read_field_map: DetectorError, FitSettings.load: SettingsError, load: DetectorError}
+def read_plans(path):
+    for read in (read_plan, read_optimize_plan):
+        read(path)
+
+
+READERS = {
+    Table.load: ValueError,
+    read_plans: PlanError,
+    read_field_map: DetectorError,
+    FitSettings.load: SettingsError,
+    load: DetectorError,
+}
 
 
 @pytest.mark.parametrize(("read", "error"), READERS.items())
-@pytest.mark.parametrize("suffix", [".npz", ".csv", ".toml", ".json"])
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".toml", ".json", ".parquet", ".root", ".tcl"])
 def test_pipes_are_refused_at_once(read, error, suffix, tmp_path):
     path = tmp_path / f"pipe{suffix}"
     os.mkfifo(path)
@@ -334,7 +415,12 @@ def test_pipes_are_refused_at_once(read, error, suffix, tmp_path):
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "x = " + "[" * 100_000, '{"a":' * 100_000, "a." * 50_000 + "a = 1"])
 def test_nesting_without_end(text, tmp_path):
-    for name, read in (("x.toml", load), ("x.toml", FitSettings.load), ("x.json", FitSettings.load)):
+    for name, read in (
+        ("x.toml", load),
+        ("x.toml", FitSettings.load),
+        ("x.json", FitSettings.load),
+        ("x.toml", read_plans),
+    ):
         (tmp_path / name).write_text(text)
         with pytest.raises(READERS[read]):
             read(tmp_path / name)
@@ -347,3 +433,71 @@ def test_texts_have_a_largest_size(tmp_path):
         load(path)
     with pytest.raises(SettingsError, match="10000001 bytes"):
         FitSettings.load(path)
+
+
+def test_json_is_read_like_other_texts(tmp_path):
+    path = tmp_path / "x.json"
+    path.write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="too many levels of nesting"):
+        read_json(path)
+    path.write_text('{"a": [1]}')
+    assert read_json(path) == {"a": [1]}
+    with pytest.raises(ValueError, match="10 bytes, expected at most 9"):
+        read_json(path, 9)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(ValueError, match="a pipe or a device"):
+        read_json(path)
+
+
+LONG = ".".join(["a"] * 1900)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "".join(f"[{LONG}.b{i}]\nx = 1\n" for i in range(250)),
+        "".join(f"{LONG}.b{i} = 1\n" for i in range(250)),
+        "".join(f"b{i} = {{ {LONG} = 1 }}\n" for i in range(250)),
+        "".join(f'"b{i}" . {" . ".join(["c"] * 900)} = 1\n' for i in range(250)),
+        ".".join(["a"] * 100) + " = 1",
+        "x = " + "[" * 60 + "]" * 60,
+        "x = " + "{ a = " * 60 + "1" + " }" * 60,
+    ],
+)
+def test_keys_without_end_take_no_time(text):
+    """The time to read a key grows with the square of its parts: 250 lines of them would take minutes."""
+    begin = time.process_time()
+    with pytest.raises(ValueError, match=r"dots in a key|levels of nesting"):
+        parse_toml(text)
+    assert time.process_time() - begin < 2
+
+
+def test_usual_keys_comments_and_values_are_read():
+    text = "# " + "." * 200 + "\na.b.c.d.e.f = [" + "1.5, " * 500 + "]\n"
+    assert parse_toml(text)["a"]["b"]["c"]["d"]["e"]["f"] == [1.5] * 500
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "set DetectorGeometry {\n" * 400_000,
+        "set" + " " * 9_000_000,
+        "\n" * 9_000_000,
+        "set DetectorGeometry { }\nset B " + "1" * 9_000_000 + "x",
+    ],
+)
+def test_cards_without_end_take_no_time(text, tmp_path):
+    path = tmp_path / "card.tcl"
+    path.write_text(text)
+    begin = time.process_time()
+    with pytest.raises(DetectorError):
+        load(path)
+    assert time.process_time() - begin < 8
+
+
+def test_long_quantities_take_no_time():
+    begin = time.process_time()
+    with pytest.raises(QuantityError):
+        parse_quantity("1" + " " * 3900 + "a\nb", "length")
+    assert time.process_time() - begin < 0.05

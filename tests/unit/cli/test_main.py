@@ -20,7 +20,7 @@ from cgemit.cli import options
 from cgemit.cli.main import COMMANDS, join_negative_values, main
 from cgemit.detector import load, write_field_map
 from cgemit.tables import Table
-from interrupts import on_terminal
+from interrupts import interruptible, on_terminal
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -222,6 +222,80 @@ def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
         rest = read()
         assert process.wait(60) == 130, rest
     assert list(tmp_path.iterdir()) == []
+
+
+ENDLESS = ["--set", "fit.max_iterations=2147483647", "--set", "fit.tolerance=1e-300"]  # a fit that never ends
+INTERRUPTED = {
+    "fit": ["simulate", *RESOLUTION[1:3], "--p", "1", "--cos-theta", "0", "-n", "2000", "--fit", *ENDLESS],
+    "analytic": ["resolution", *RESOLUTION[1:3], "--method", "analytic", "--p", "0.2:2:300", "--cos-theta", "-0.9:0.9"],
+    "simulation": [
+        "simulate",
+        *RESOLUTION[1:3],
+        "--p",
+        "1",
+        "--cos-theta",
+        "-0.9:0.9",
+        "-n",
+        "1000000",
+        "--keep",
+        "all",
+    ],
+    "finder": ["find", *RESOLUTION[1:3], "--p", "1", "--tracks", "8", "-n", "3000"],
+    "readout": ["readout", "--readout", "tiger", "-n", "100000"],
+    "sweep": ["sweep", "plan.toml"],
+    "processes": ["sweep", "plan.toml", "--processes", "2"],
+}
+PLAN = """
+base = "besiii-cgem-design"
+[vary]
+"cgem.*.pitch_x" = ["400 um", "500 um", "600 um", "700 um"]
+[evaluate]
+method = "mc"
+events = 3000000
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", INTERRUPTED)
+@pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT,) * 3, (signal.SIGTERM, signal.SIGINT)])
+def test_an_interrupted_command_ends_with_130_whatever_it_was_at(name, signals, tmp_path):
+    """The first Ctrl-C is enough, also for a fit that never ends; further ones change nothing, and no C++ aborts."""
+    (tmp_path / "plan.toml").write_text(PLAN)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONFAULTHANDLER": ""}
+    command = [sys.executable, "-m", "cgemit", *INTERRUPTED[name], "--threads", "2"]
+    command = command[:-2] if name == "processes" else command
+    with interruptible(
+        [*command, "-o", "out"], cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        wait_until_at_work(process.pid, 2 if name == "processes" else 1)
+        for number in signals:
+            process.send_signal(number)
+            time.sleep(0.02)
+        error = process.communicate(timeout=60)[1].decode()
+    assert process.returncode == 130, error
+    assert "terminate" not in error
+    assert "Traceback" not in error
+    assert not list(tmp_path.glob(".cgemit-*"))
+    assert {path.name for path in tmp_path.iterdir()} <= {"plan.toml", *(["out"] if "plan.toml" in command else [])}
+
+
+def wait_until_at_work(process, seconds):
+    """Wait until a process and its children have used this much time of processors since the first look."""
+
+    def used():
+        groups = [f"/proc/{process}", *(f"/proc/{one}" for one in children(process))]
+        ticks = [
+            Path(one, "stat").read_text().rpartition(")")[2].split()[11:13] for one in groups if Path(one).exists()
+        ]
+        return sum(int(one) for pair in ticks for one in pair) / os.sysconf("SC_CLK_TCK")
+
+    deadline = time.monotonic() + 90
+    while used() < 2.5 + seconds and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def children(process):
+    return Path(f"/proc/{process}/task/{process}/children").read_text().split()
 
 
 @pytest.mark.slow

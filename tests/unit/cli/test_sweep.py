@@ -113,7 +113,7 @@ def test_parts_of_an_array_are_merged(plan: Path, tmp_path: Path, capsys: pytest
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert main(["sweep", str(plan), "-o", str(whole), "--quiet"]) == 0
     assert main(["sweep", str(plan), "-o", str(parts), "--quiet", "--array-index", "1/2"]) == 0
-    assert sorted(path.name for path in parts.iterdir()) == ["chunks", "plan.toml"]
+    assert sorted(path.name for path in parts.iterdir()) == [".cgemit", "chunks", "plan.toml"]
     assert main(["sweep", "--merge", str(parts), "--quiet"]) == 3
     assert "2 of 3 variants are missing" in capsys.readouterr().err
     assert main(["sweep", str(plan), "-o", str(parts), "--quiet", "--array-index", "0/2"]) == 0

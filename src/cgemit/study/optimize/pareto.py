@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from cgemit.analysis.widths import Floats, jackknife
 from cgemit.base.errors import Problem, ProblemsError, WrongValueError
+from cgemit.base.files import check_regular
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Variable, changes_of
 from cgemit.study.optimize.search import Design, Evaluator, Search
 
@@ -166,6 +167,8 @@ def open_journal(path: Path | None) -> tuple[Any, Any]:
         If the file holds something else.
     """
     optuna()
+    if path:
+        path.parent.mkdir(exist_ok=True)
     from optuna.storages import JournalStorage
     from optuna.storages.journal import BaseJournalBackend
 
@@ -205,22 +208,36 @@ def open_journal(path: Path | None) -> tuple[Any, Any]:
     return Storage(backend), write
 
 
+_LONGEST_LINE = 10_000_000  # bytes of an operation
+
+
 def _whole_groups(path: Path) -> list[dict[str, Any]]:
-    """Return the operations of a journal up to the last complete group; the file is cut there."""
-    if not path.exists():
+    """Return the operations of a journal up to the last complete group; the file is cut there.
+
+    A warning says so if more than the last line of an interrupted run is lost; its designs are found again.
+    """
+    try:
+        check_regular(path)
+    except FileNotFoundError:
         return []
+    except ValueError as error:
+        raise ProblemsError(str(path), [Problem("", str(error), "a journal of Optuna")]) from error
     found: list[dict[str, Any]] = []
     end = size = complete = 0
     with path.open("rb") as stream:
-        for line in stream:
+        while line := stream.readline(_LONGEST_LINE):
             try:
                 found.append(json.loads(line))
-            except ValueError:  # the last line of an interrupted run
+            except (ValueError, RecursionError) as error:
+                if stream.read(1):
+                    text = f"{path}: line {len(found) + 1} cannot be read ({str(error) or 'too deep'})"
+                    warnings.warn(f"{text}; the search goes on from the lines before", stacklevel=2)
                 break
             size += len(line)
             if not isinstance(found[-1], dict):
                 raise ProblemsError(str(path), [Problem(f"line {len(found)}", repr(line[:40]), "a journal of Optuna")])
-            if line.endswith(b"\n") and GROUPS_DONE in found[-1].get("user_attr", {}):
+            done = found[-1].get("user_attr")
+            if line.endswith(b"\n") and isinstance(done, dict) and GROUPS_DONE in done:
                 end, complete = size, len(found)
     os.truncate(path, end)
     return found[:complete]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from cgemit.analysis.widths import GROUPS, jackknife
-from cgemit.base.files import new_file
+from cgemit.base.files import add_files, keep_folder
 from cgemit.base.validate import is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers
@@ -84,6 +84,10 @@ def front_of(values: Any, replicas: Any) -> list[str]:
     return [str(one) for one in texts]
 
 
+#: What a folder of an optimization holds, in its record.
+WORK = "optimize"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Confirmation(TidyResult):
     """Resolutions of some designs as the optimization has them and from simulated tracks.
@@ -113,11 +117,14 @@ class Confirmation(TidyResult):
         return np.array(self.columns[name])
 
     def write(self, folder: str | os.PathLike[str]) -> Path:
-        """Write confirmation.csv to a folder; an earlier one is replaced."""
-        path = Path(folder) / "confirmation.csv"
-        with new_file(path, overwrite=True) as temporary:
-            write_csv(temporary, self.columns)
-        return path
+        """Write confirmation.csv to a folder; an earlier one is replaced.
+
+        Raises OutputExistsError if cgemit did not write that one, or if it was changed.
+        """
+        name = "confirmation.csv"
+        with add_files(folder) as place:
+            write_csv(place / name, self.columns)
+        return Path(folder) / name
 
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
         columns = self.columns
@@ -247,6 +254,8 @@ class Optimization(TidyResult):
         Where the hypervolume ends: the largest objectives of the allowed designs of the first population.
     hypervolume_error : float
         From leaving out groups of tracks (jackknife).
+    plan : tuple of str
+        Name of the optimization.
 
     Examples
     --------
@@ -266,11 +275,12 @@ class Optimization(TidyResult):
     reference: tuple[float, ...]
     hypervolume_error: float
     evaluator: Evaluator
+    plan: tuple[str, ...]
 
     @staticmethod
     def of(
         evaluator: Evaluator, variables: Sequence[Variable], objectives: Sequence[Goal], method: str,
-        designs: Sequence[Design], found: Found,
+        designs: Sequence[Design], found: Found, plan: tuple[str, ...],
     ) -> Optimization:  # fmt: skip
         """Return the table of some designs, the front among them, and its hypervolume."""
         columns = columns_of(evaluator, variables, designs)
@@ -291,7 +301,7 @@ class Optimization(TidyResult):
             error = jackknife([hypervolume(replicas[rows][..., i], reference) for i in range(GROUPS)])
         return Optimization(
             columns, tuple(variables), tuple(objectives), method, found.gradients, found.message, volumes,
-            tuple(map(float, reference)), error, replace(evaluator, folder=None, workers=Workers()),
+            tuple(map(float, reference)), error, replace(evaluator, folder=None, workers=Workers()), plan,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -360,11 +370,12 @@ class Optimization(TidyResult):
             raise ValueError(f"designs: got {rows!r:.60}, expected a list of rows from 0 to {len(self) - 1}")
         return confirm(self.evaluator, self.variables, self.columns, rows, **how)
 
-    def write(self, folder: str | os.PathLike[str]) -> list[Path]:
+    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
         """Write optimize.csv, detector.toml (the base), optimum.toml (of one objective) and summary.json to a folder.
 
-        Files of an earlier optimization are replaced.
+        As `cgemit.study.sweep.result.Sweep.write`, with results of an optimization.
         """
+        keep_folder(folder, WORK, self.plan, overwrite=overwrite)
         detectors = {"optimum.toml": self.detector()} if len(self.objectives) == 1 and self.front else {}
         return self._write(folder, "optimize.csv", detectors | {"detector.toml": self.evaluator.base}, self.summary())
 

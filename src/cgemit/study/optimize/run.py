@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cgemit.base.errors import Problems
-from cgemit.base.files import SUMMARY, OutputExistsError, check_free
 from cgemit.base.validate import build
 from cgemit.base.version import PHYSICS
-from cgemit.chain.executor import Workers
+from cgemit.chain.executor import Workers, pool_of
 from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
 from cgemit.detector.inventory import Background
@@ -30,7 +29,7 @@ from cgemit.study.optimize.goals import (
     variables_of,
 )
 from cgemit.study.optimize.pareto import MissingPackageError, evolve, optuna
-from cgemit.study.optimize.result import Optimization
+from cgemit.study.optimize.result import WORK, Optimization
 from cgemit.study.optimize.search import (
     Design,
     Evaluator,
@@ -45,7 +44,7 @@ from cgemit.study.optimize.search import (
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation
 from cgemit.study.sweep.plan import PlanFile, range_of, read_evaluation, read_tables
-from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, pool_of, workers_of
+from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, workers_of
 from cgemit.study.sweep.space import PlanError
 
 _TOLERANCE = {"gradient": 1e-4, "cobyla": 1e-3, "nsga2": 1.0}
@@ -111,7 +110,8 @@ def optimize(
     PlanError
         Listing every problem of the arguments.
     OutputExistsError
-        If the folder holds files that are none of an optimization.
+        If the folder holds something else, results of another optimization without `Output.overwrite`, or files that
+        were changed after they were written.
 
     Examples
     --------
@@ -129,14 +129,18 @@ def optimize(
     how: Any = _search(search, problems)
     task = _checked(start, space, minimize, constraints or {}, evaluation, background, how, problems)
     place, where = output_of(output), workers_of(workers)
-    folder, journal = _places(task, place, how)
+    plan = _names(task, how)
+    folder = chunk_folder(place, WORK, plan[1:], plan[1:])
+    journal = folder.with_name("journals") / f"{plan[0]}.log" if folder else None
     if started:
         started()
     with pool_of(where) as executor:
         evaluator = Evaluator(start, task.goals, task.limits, folder, Workers(executor=executor))
         first = Design(0, "base", tuple(one.own(start) for one in task.variables), evaluator.rows([{}])[0])
         found = _searched(evaluator, task, how, journal, progress)
-    result = Optimization.of(evaluator, task.variables, task.objectives, task.method, (first, *found.designs), found)
+    result = Optimization.of(
+        evaluator, task.variables, task.objectives, task.method, (first, *found.designs), found, plan[1:]
+    )
     if place:
         result.write(place.folder)
     return result
@@ -225,34 +229,19 @@ def _check_method(
             problems.note("search.method", given, "a range without zero")
 
 
-def _places(task: _Task, output: Output | None, search: Search) -> tuple[Path | None, Path | None]:
-    """Return the folder of the chunks and the journal of this very search."""
-    if output is None:
-        return None, None
-    whole = Path(output.folder)
-    if not output.overwrite and (whole / SUMMARY).exists() and not _is_ours(whole):
-        check_free(whole)
-    folder = chunk_folder(output)
-    journals = whole / "journals"
-    journals.mkdir(exist_ok=True)
-    if output.overwrite:
-        for old in journals.glob("[0-9a-f]" * 16 + ".log"):
-            old.unlink()
-    # The number of calls is no part of the name: a search can be continued with more of them.
-    text = json.dumps(
-        [PHYSICS, task.base.content_hash, [repr(one) for one in task.variables], task.goals.described(),
-         [one.header for one in task.objectives], [repr(one) for one in task.limits],
-         {name: getattr(search, name) for name in ("population", "offspring", "seed")}],
-        sort_keys=True, default=str,
-    )  # fmt: skip
-    return folder, journals / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.log"
+def _names(task: _Task, search: Search) -> tuple[str, str]:
+    """Return the names of the journal of a search, and of the whole optimization.
 
-
-def _is_ours(folder: Path) -> bool:
-    try:
-        return "minimize" in json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("inputs", {})
-    except (OSError, ValueError, AttributeError):
-        raise OutputExistsError(f"{folder} already holds files; choose another folder or overwrite it") from None
+    The number of calls is no part of either: a search can be continued with more of them.
+    """
+    found = [
+        PHYSICS, task.base.content_hash, [repr(one) for one in task.variables], task.goals.described(),
+        [one.header for one in task.objectives], [repr(one) for one in task.limits],
+        {name: getattr(search, name) for name in ("population", "offspring", "seed")},
+    ]  # fmt: skip
+    more = [task.method, *(getattr(search, name) for name in ("tolerance", "steps", "starts"))]
+    journal, whole = (json.dumps(one, sort_keys=True, default=str).encode() for one in (found, [*found, more]))
+    return hashlib.sha256(journal).hexdigest()[:16], hashlib.sha256(whole).hexdigest()[:32]
 
 
 #: What the plan of an optimization may hold.

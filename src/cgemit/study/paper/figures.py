@@ -21,6 +21,7 @@ from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import MAIN, QUANTITIES
 from cgemit.analysis.resolutions import chi2_probability, resolution_against
 from cgemit.analysis.widths import Resolution
+from cgemit.base.files import HEARTBEAT
 from cgemit.base.isa import cores
 from cgemit.chain.match import measuring
 from cgemit.chain.result import Result
@@ -61,8 +62,9 @@ def write_figures(study: Reproduction, folder: Path, pdf: bool = False, progress
 def _pool(study: Reproduction) -> Executor:
     """Return what draws the figures: copies of this process where it has no other threads, else one thread."""
     workers = min(study.inputs.threads or cores(), len(FIGURES))
-    others = [thread for thread in threading.enumerate() if not isinstance(thread, TMonitor)]  # it only sleeps
-    if sys.platform != "linux" or workers == 1 or len(others) > 1:
+    sleeping = [one for one in threading.enumerate() if isinstance(one, TMonitor) or one.name == HEARTBEAT]
+    others = threading.active_count() - len(sleeping)
+    if sys.platform != "linux" or workers == 1 or others > 1:
         return ThreadPoolExecutor(1, initializer=_receive, initargs=(study,))
     return ProcessPoolExecutor(workers, get_context("fork"), _receive_alone, (study,))
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cgemit.base.errors import Problem, Problems, did_you_mean
-from cgemit.base.files import SUMMARY, new_file, toml_text
+from cgemit.base.files import SUMMARY, add_files, parse_toml, read_text, toml_text
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, build, entries
 from cgemit.chain.settings import Settings
@@ -61,27 +60,28 @@ class PlanFile:
 
         A detector file comes along as detector.toml, files that variants name come along under their names. The path to
         the file of a function is relative to the folder; the function's identity serves to read its results without
-        that file.
+        that file. Raises OutputExistsError if one of the files is there that cgemit did not write, or that was changed.
         """
-        place, tables, base = Path(folder), dict(self.tables), load(self.tables["base"])
+        tables, base = dict(self.tables), load(self.tables["base"])
         detectors = {}
         if not is_preset(tables["base"]):
             detectors[BASE] = base
             tables["base"] = BASE
-        for (key, name), path in getattr(self.arguments["space"], "files", {}).items():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            if path.suffix in MAPS:
-                with new_file(place / name, overwrite=True) as temporary:
-                    shutil.copyfile(path, temporary)
-            else:
-                detectors[name] = load(path) if key == "base" else base.with_field(path)
-        write_files(place, detectors)
         evaluation = self.arguments["evaluate"]
         if evaluation.function is not None:
-            method = os.path.relpath(tables["evaluate"]["method"], place.resolve())
+            method = os.path.relpath(tables["evaluate"]["method"], Path(folder).resolve())
             tables["evaluate"] = {**tables["evaluate"], "method": method, FUNCTION: identity(evaluation.function)}
-        with new_file(place / PLAN, overwrite=True) as temporary:
-            temporary.write_text(toml_text(tables), encoding="utf-8")
+        with add_files(folder) as place:
+            for (key, name), path in getattr(self.arguments["space"], "files", {}).items():
+                (place / name).parent.mkdir(parents=True, exist_ok=True)
+                if path.suffix in MAPS:
+                    shutil.copyfile(path, place / name)
+                else:
+                    detectors[name] = load(path) if key == "base" else base.with_field(path)
+            write_files(place, detectors)
+            # Ranges in place, since TOML has tables last: the order of the keys is that of columns and of searches.
+            ranges = {key for name in _FREE for key in tables.get(name, ())}
+            (place / PLAN).write_text(toml_text(tables, in_place=ranges), encoding="utf-8")
 
 
 def read_tables(
@@ -104,11 +104,11 @@ def read_tables(
     FileNotFoundError
         If there is no such file.
     PlanError
-        If it is no TOML file.
+        If it is no TOML file, or one that is too large or too deeply nested.
     """
     try:
-        tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        tables = parse_toml(read_text(path))
+    except ValueError as error:
         raise PlanError(str(path), [Problem("", f"not a TOML file: {error}", "")]) from error
     for key, value in changes.items():
         _change(tables, key, value, problems)

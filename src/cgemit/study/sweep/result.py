@@ -14,7 +14,7 @@ import numpy as np
 
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import jackknife
-from cgemit.base.files import SUMMARY, new_file, package
+from cgemit.base.files import SUMMARY, add_files, keep_folder, package
 from cgemit.base.validate import is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.record import versions
@@ -42,16 +42,17 @@ class TidyResult(Shown):
     def _write(
         self, folder: str | os.PathLike[str], table: str, detectors: Mapping[str, Detector], summary: Mapping[str, Any]
     ) -> list[Path]:
-        """Write table, detectors and summary to a folder, in this order; return the files."""
-        place = Path(folder)
-        with new_file(place / table, overwrite=True) as temporary:
-            write_csv(temporary, self.columns)
-        files = write_files(place, detectors)
-        with new_file(place / SUMMARY, overwrite=True) as temporary:
-            temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        return [place / table, *files, place / SUMMARY]
+        """Write table, detectors and summary to a folder; return the files."""
+        with add_files(folder) as place:
+            write_csv(place / table, self.columns)
+            files = write_files(place, detectors)
+            (place / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+            names = [str(path.relative_to(place)) for path in files]
+        return [Path(folder) / name for name in (table, *names, SUMMARY)]
 
 
+#: What a folder of a sweep holds, in its record.
+WORK = "sweep"
 #: Columns that say which variant a row is of and how it ended.
 LEADING = ("variant", "name", "hash", "status", "problems")
 _POINT = ("p (GeV/c)", "cos_theta")
@@ -76,6 +77,8 @@ class Sweep(TidyResult):
     evaluation : Evaluation
     bases : tuple of Detector
         The detector that each row's variant changes, by variant.
+    plan : tuple of str
+        Names of the chunks.
 
     Examples
     --------
@@ -91,11 +94,13 @@ class Sweep(TidyResult):
     space: Space
     evaluation: Evaluation
     bases: tuple[Detector, ...]
+    plan: tuple[str, ...]
 
     @staticmethod
     def joined(
-        space: Space, evaluation: Evaluation, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]]
-    ) -> Sweep:
+        space: Space, evaluation: Evaluation, bases: Sequence[Detector], rows: Sequence[Mapping[str, Any]],
+        plan: tuple[str, ...],
+    ) -> Sweep:  # fmt: skip
         """Return the table of the base and its variants, from one row each."""
         axes = [axis_of(key, bases[0], [one.get(key) for one in space.variants]) for key in space.keys]
         points = evaluation.points()
@@ -111,7 +116,7 @@ class Sweep(TidyResult):
                 table[name][first : first + len(points)] = values
         results = tuple(name for name in table if name not in (*known, *_POINT))
         table = {name: _of_one_kind(table[name]) for name in (*known, *results)}
-        return Sweep(table, tuple(header for header, _ in axes), results, space, evaluation, tuple(bases))
+        return Sweep(table, tuple(header for header, _ in axes), results, space, evaluation, tuple(bases), plan)
 
     def __len__(self) -> int:
         return len(self.columns["variant"])
@@ -152,11 +157,22 @@ class Sweep(TidyResult):
         data = {name: (dimensions, self[name][here].reshape(shape)) for name in (*self.results, "status", "name")}
         return xarray.Dataset(data, coords=coordinates, attrs={"base": self.bases[0].name})
 
-    def write(self, folder: str | os.PathLike[str]) -> list[Path]:
+    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
         """Write sweep.csv, detector.toml (the base) and summary.json to a folder; return the files.
 
-        Files of an earlier sweep are replaced.
+        Parameters
+        ----------
+        folder : path
+            One that is empty or missing, or holds results of the same plan, which are replaced.
+        overwrite : bool
+            Whether to replace all results that the folder holds.
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds other files, or such that were changed after they were written.
         """
+        keep_folder(folder, WORK, self.plan, overwrite=overwrite)
         return self._write(folder, "sweep.csv", {"detector.toml": self.bases[0]}, self.summary())
 
     def summary(self) -> dict[str, Any]:
@@ -237,6 +253,12 @@ class Sweep(TidyResult):
         value, (label, blank, unit) = self.columns[name][row], name.partition(" ")
         error = self.columns.get(f"{label}_error{blank}{unit}")
         return _cell(value) if error is None or name not in self.results else with_error(value, error[row])
+
+
+def columns_before(space: Space, evaluation: Evaluation, base: Detector) -> tuple[str, ...]:
+    """Return the columns of the table before the results."""
+    headers = [axis_of(key, base, [one.get(key) for one in space.variants])[0] for key in space.keys]
+    return (*LEADING, *headers, *evaluation.points()[0])
 
 
 def _cell(value: Any) -> str:

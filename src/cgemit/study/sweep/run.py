@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
-import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+import warnings
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor, Future, as_completed
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from cgemit.base.errors import DetectorError, Problems
-from cgemit.base.files import OutputExistsError, check_free, new_file, remove_left
-from cgemit.base.isa import cores
+from cgemit.base.errors import DetectorError, Problem, Problems
+from cgemit.base.files import keep_folder, new_file, read_json, remove_left
 from cgemit.base.validate import build, is_whole
 from cgemit.base.version import PHYSICS
-from cgemit.chain.executor import Workers
+from cgemit.chain.executor import Workers, pool_of
 from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
 from cgemit.detector.variants import variant_name
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation, Function
-from cgemit.study.sweep.result import Sweep
+from cgemit.study.sweep.result import WORK, Sweep, columns_before
 from cgemit.study.sweep.space import (
     NAMES_FILES,
     Changes,
@@ -40,10 +37,10 @@ from cgemit.study.sweep.space import (
     with_files,
 )
 
-FORMAT = "cgemit-sweep-2"
+FORMAT = "cgemit-sweep-3"
 #: Folder of the chunks in the output of a sweep.
 CHUNKS = "chunks"
-_CHUNK = re.compile(r"[0-9a-f]{32}\.json|\.cgemit-.*")  # what it holds: chunks, and those that are being written
+_LARGEST_CHUNK = 1_000_000_000  # bytes; a chunk may have thousands of variants
 
 
 def address(evaluation: Mapping[str, Any], variants: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
@@ -63,20 +60,31 @@ def address(evaluation: Mapping[str, Any], variants: Sequence[tuple[str, Mapping
 def write_chunk(folder: Path, name: str, payload: str) -> None:
     """Write rows (`text_of_rows`) of a chunk under a temporary name, which becomes the chunk's when all is written."""
     record = {"format": FORMAT, "chunk": name, "sha256": _checksum(payload), "rows": payload}
-    with new_file(folder / f"{name}.json", overwrite=True) as temporary:
+    path = folder / f"{name}.json"
+    if path.is_symlink() or not path.is_file():
+        path.unlink(missing_ok=True)  # a link or a pipe in the place of a chunk
+    with new_file(path, overwrite=True) as temporary:
         temporary.write_text(json.dumps(record) + "\n", encoding="utf-8")
 
 
 def read_chunk(folder: Path, name: str, count: int) -> list[dict[str, Any]] | None:
-    """Return the rows of a chunk with `count` variants; None if there is none, or a damaged one."""
+    """Return the rows of a chunk with `count` variants; None if there is none, with a warning if it is damaged."""
+    path = folder / f"{name}.json"
     try:
-        record = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+        record = read_json(path, _LARGEST_CHUNK)
         payload = record["rows"]
-        good = record["format"] == FORMAT and record["chunk"] == name and record["sha256"] == _checksum(payload)
+        if record["format"] != FORMAT or record["chunk"] != name or record["sha256"] != _checksum(payload):
+            raise ValueError("another chunk, or a wrong checksum")
         rows = rows_of_text(payload)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        if len(rows) != count or not all(row["status"] and isinstance(row["problems"], list) for row in rows):
+            raise ValueError(f"expected the rows of {count} variants")
+    except FileNotFoundError:
         return None
-    return rows if good and len(rows) == count else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        text = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        warnings.warn(f"{path} cannot be read ({text:.200}); its variants are computed anew", stacklevel=2)
+        return None
+    return rows
 
 
 def _checksum(text: str) -> str:
@@ -84,34 +92,19 @@ def _checksum(text: str) -> str:
 
 
 def text_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows as JSON: how workers send them and files hold them, so that results do not depend on files."""
-    try:
-        return json.dumps(rows, allow_nan=False)
-    except (TypeError, ValueError):  # some number that JSON cannot hold
-        return json.dumps([_without_nan(row) for row in rows], allow_nan=False)
+    """Return rows as JSON: how workers send them and files hold them, so that results do not depend on files.
+
+    Numbers that JSON does not have are written as ``NaN`` and ``Infinity``.
+    """
+    return json.dumps(rows)
 
 
 def rows_of_text(text: str) -> list[dict[str, Any]]:
-    """Return the rows of `text_of_rows`."""
-    rows = json.loads(text)
-    return [_with_nan(row) for row in rows] if '{"float":' in text else rows
-
-
-def _without_nan(value: Any) -> Any:
-    """Return a value with numbers that JSON cannot hold as ``{"float": "nan"}``."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(one) for one in value]
-    return {"float": repr(value)} if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _with_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        if value.keys() == {"float"}:
-            return float(value["float"])
-        return {key: _with_nan(one) for key, one in value.items()}
-    return [_with_nan(one) for one in value] if isinstance(value, list) else value
+    """Return the rows of `text_of_rows`. Raises ValueError if it is none."""
+    try:
+        return json.loads(text)  # type: ignore[no-any-return]
+    except RecursionError:
+        raise ValueError("too many levels of nesting") from None
 
 
 class Evaluates(Protocol):
@@ -135,7 +128,7 @@ class Task:
     changes: tuple[Changes, ...]
     evaluation: Evaluates
 
-    @property
+    @cached_property
     def address(self) -> str:
         """Name of the file with the results."""
         pairs = zip(self.detectors, self.changes, strict=True)
@@ -187,20 +180,27 @@ def compute_rows(
     workers: Workers,
     part: tuple[int, int] | None,
     progress: ShowProgress | None,
+    check: Callable[[Sequence[Mapping[str, Any]]], None] = lambda rows: None,
 ) -> list[list[dict[str, Any]]]:
-    """Return the rows of every task: those on disk, and those that are computed now and written as they come."""
+    """Return the rows of every task: those on disk, and those that are computed now and written as they come.
+
+    `check` is called with the rows of a task as soon as they are there, before they are written; it may raise an error.
+    """
     names = [task.address if folder else "" for task in tasks]
     counts = [len(task.changes) for task in tasks]
     pairs = zip(names, counts, strict=True)
     rows = [read_chunk(folder, name, count) if folder else None for name, count in pairs]
     mine = range(len(tasks)) if part is None else range(len(tasks))[part[0] :: part[1]] if part[1] else range(0)
     waiting = [i for i in mine if rows[i] is None]
+    for old in filter(None, rows):
+        check(old)
     show = _remaining(progress, len(mine), len(waiting))
     futures: dict[Future[str], int] = {}
 
     def keep(future: Future[str]) -> None:
         i, text = futures.pop(future), future.result()
         found = rows_of_text(text)
+        check(found)
         if folder and all(row["status"] != "failed" for row in found):
             write_chunk(folder, names[i], text)
         rows[i] = found
@@ -229,20 +229,6 @@ def compute_rows(
         remove_left(folder)
     missing: dict[str, Any] = {"status": "missing", "problems": []}
     return [[missing] * count if found is None else found for found, count in zip(rows, counts, strict=True)]
-
-
-@contextmanager
-def pool_of(workers: Workers, tasks: int | None = None) -> Iterator[Executor]:
-    """Yield the executor of workers, or a pool of threads, not more than tasks, whose waiting tasks end with it."""
-    if workers.executor is not None:
-        yield workers.executor
-        return
-    threads = workers.threads or cores()
-    with ThreadPoolExecutor(threads if tasks is None else max(1, min(tasks, threads))) as pool:
-        try:
-            yield pool
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _remaining(progress: ShowProgress | None, total: int, left: int) -> Callable[[], None]:
@@ -292,7 +278,8 @@ def sweep(
         names of presets or files. See `grid`, `sobol` and `latin_hypercube`.
     evaluate : Evaluation, a dict of its arguments, or its method
     output : Output or path, optional
-        Folder for the chunks, the table and its record. Chunks that it holds are kept, but with `Output.overwrite`.
+        Folder for the chunks, the table and its record. A folder that holds chunks of this plan alone is continued;
+        with `Output.overwrite` its results are replaced, with `part` those of this part.
     workers : Workers, concurrent.futures.Executor or int, optional
         Where chunks are computed; a number is of threads. Default: threads on all cores. Dask:
         ``client.get_executor()``.
@@ -315,9 +302,11 @@ def sweep(
     Raises
     ------
     PlanError
-        Listing every problem of the arguments, among them keys that name nothing in the base and values without unit.
+        Listing every problem of the arguments, among them keys that name nothing in the base and values without unit;
+        or names of a function's results that are columns of the table.
     OutputExistsError
-        If the folder holds files that are none of a sweep.
+        If the folder holds something else, results of another plan without `Output.overwrite`, or files that were
+        changed after they were written.
 
     Examples
     --------
@@ -340,12 +329,15 @@ def sweep(
     size = evaluation.chunk or CHUNK[evaluation.kind]
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
     place, where = output_of(output), workers_of(workers)
-    folder = chunk_folder(place)
+    plan = tuple(task.address for task in tasks)
+    folder = chunk_folder(place, WORK, plan, plan[part[0] :: part[1]] if part else plan)
     if started:
         started()
-    rows = compute_rows(tasks, folder, where, part if compute else (0, 0), progress)
+    detectors = [detector for detector, _ in bases]
+    refuse = _taken_names(chosen, evaluation, detectors)
+    rows = compute_rows(tasks, folder, where, part if compute else (0, 0), progress, refuse)
     found = [row for task_rows in rows for row in task_rows]
-    result = Sweep.joined(chosen, evaluation, [detector for detector, _ in bases], found)
+    result = Sweep.joined(chosen, evaluation, detectors, found, plan)
     if place and part is None and not result.missing():
         result.write(place.folder)
     return result
@@ -430,17 +422,32 @@ def workers_of(given: Workers | Executor | int | None) -> Workers:
     return workers
 
 
-def chunk_folder(output: Output | None) -> Path | None:
-    """Return the folder of the chunks, made if it is missing; None without an output."""
+def chunk_folder(output: Output | None, work: str, plan: Sequence[str], mine: Collection[str]) -> Path | None:
+    """Return the folder of the chunks of a plan, made if it is missing; None without an output.
+
+    With `Output.overwrite`, chunks of the plan that are not `mine` stay: they are the results of other jobs.
+    """
     if output is None:
         return None
-    folder = Path(output.folder) / CHUNKS
-    if not all(_CHUNK.fullmatch(path.name) for path in folder.glob("*")):
-        raise OutputExistsError(f"{output.folder} holds files of no sweep in {CHUNKS}; choose another folder")
-    if not folder.is_dir():
-        check_free(output.folder, overwrite=output.overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    if output.overwrite:
-        for old in folder.glob("*.json"):
-            old.unlink()
+    others = {f"{name}.json" for name in set(plan) - set(mine)}
+    whole = keep_folder(output.folder, work, plan, overwrite=output.overwrite, kept=others)
+    folder = whole / CHUNKS
+    folder.mkdir(exist_ok=True)
     return folder
+
+
+def _taken_names(
+    space: Space, evaluation: Evaluation, bases: Sequence[Detector]
+) -> Callable[[Sequence[Mapping[str, Any]]], None]:
+    """Return a function that raises an error if results have names of other columns of the table."""
+    taken = columns_before(space, evaluation, bases[0])
+
+    def refuse(rows: Sequence[Mapping[str, Any]]) -> None:
+        wrong = [name for name in dict.fromkeys(n for row in rows for n in row.get("columns", ())) if name in taken]
+        if wrong:
+            expected = f"a name that the table does not have ({', '.join(taken)})"
+            raise PlanError(
+                "sweep", [Problem("evaluate.method", f"a result named {name!r}", expected) for name in wrong]
+            )
+
+    return refuse

@@ -20,7 +20,7 @@ from cgemit.base.validate import check_seed, check_whole, is_whole
 from cgemit.detector import Detector
 from cgemit.detector.keys import CELLS
 from cgemit.detector.variants import factor_of, values_at
-from cgemit.units import NATIVE, format_quantity, parse_quantity, units_of
+from cgemit.units import LONGEST, NATIVE, format_quantity, parse_quantity, units_of
 
 #: One variant: what it changes, by dotted key of the detector file.
 Changes = Mapping[str, Any]
@@ -266,7 +266,7 @@ def split_quantity(value: Any) -> tuple[str, float, str] | None:
         return None
     if isinstance(value, int | float):
         return ("", float(value), "") if math.isfinite(value) else None
-    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) and len(value) <= LONGEST else None
     if not match:
         return None
     times, number, unit = match.groups()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from itertools import pairwise, product
 from pathlib import Path
@@ -156,7 +157,8 @@ def test_an_interrupted_search_continues_to_the_same_end(found: tuple[Optimizati
         stream.write((whole / "journals" / journal.name).read_bytes()[journal.stat().st_size :][:3000])
     chunk = next(iter((tmp_path / "chunks").iterdir()))
     chunk.write_bytes(chunk.read_bytes()[:-20])
-    optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(6))
+    with pytest.warns(UserWarning, match=f"{chunk.name} cannot be read"):
+        optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(6))
     assert (tmp_path / "optimize.csv").read_bytes() == (whole / "optimize.csv").read_bytes()
     trials = JournalStorage(JournalFileBackend(str(journal))).get_all_trials(0)
     assert len(trials) == 42
@@ -178,8 +180,17 @@ def test_dask_finds_what_one_process_finds(found: tuple[Optimization, Path], tmp
 def test_a_file_that_is_no_journal_is_a_problem(tmp_path: Path) -> None:
     optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(0))
     (journal,) = (tmp_path / "journals").iterdir()
+    lines = journal.read_text()
     journal.write_text("[1]\n")
     with pytest.raises(ValueError, match="expected a journal of Optuna"):
+        optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(0))
+    for wrong in ("{", "[" * 100_000, "1" * 5000):
+        journal.write_text(f"{wrong}\n{lines}")
+        with pytest.warns(UserWarning, match=r"line 1 cannot be read .* goes on from the lines before"):
+            optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(0))
+    journal.unlink()
+    os.mkfifo(journal)
+    with pytest.raises(ValueError, match="a pipe or a device"):
         optimize(DESIGN, SPACE, output=tmp_path, **HOW, search=search(0))
 
 

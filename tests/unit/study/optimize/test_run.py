@@ -533,7 +533,9 @@ def test_the_command_line_writes_what_python_returns(tmp_path: Path, capsys: pyt
     assert table["sigma_dr (um)"].iloc[-1] == pytest.approx(summary["best"][0]["sigma_dr (um)"], rel=1e-5)
     assert {path.suffix for path in output.glob("convergence.*")} == {".png", ".pdf"}
     assert len(pd.read_csv(output / "confirmation.csv")) == 2
-    assert main(["optimize", str(output / "plan.toml"), "-o", str(output), "--quiet"]) == 0
+    stored = str(output / "plan.toml")
+    assert list(read_optimize_plan(stored).arguments["space"]) == ["cgem.L2.anode_radius", "cgem.L1.pitch_x"]
+    assert main(["optimize", stored, "-o", str(output), "--quiet"]) == 0
 
 
 def test_the_plans_of_the_documentation_run(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -19,6 +21,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.analysis.widths import jackknife, without_groups
+from cgemit.base.files import OutputExistsError
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
@@ -67,7 +70,7 @@ def test_a_grid_becomes_an_xarray_dataset() -> None:
 def test_axes_of_words_of_relative_values_and_of_other_bases() -> None:
     space = {"base": ["besiii-cgem-design", "besiii-cgem"], "field": ["uniform", "besiii"],
              "cgem.*.drift_gap": ["x0.5", "x1"], "cgem.*.gas": ["CgemGas", "MdcGas"]}  # fmt: skip
-    found = sweep(DESIGN, space, evaluate=lambda d: {"gap": d.cgem[0].drift_gap, "field": d.field.kind})
+    found = sweep(DESIGN, space, evaluate=lambda d: {"gap": d.cgem[0].drift_gap, "kind": d.field.kind})
     assert found.parameters == ("base", "field", "cgem.*.drift_gap (times)", "cgem.*.gas")
     assert found.columns["cgem.*.drift_gap (times)"][:3] == [1.0, 0.5, 0.5]
     assert found.columns["cgem.*.gas"][:3] == ["CgemGas", "CgemGas", "MdcGas"]
@@ -456,7 +459,8 @@ def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str)
     }
     chunk.write_text(changed[damage])
     counted = Counting()
-    again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, workers=counted)
+    with pytest.warns(UserWarning, match=rf"{chunk.name} cannot be read \(.*\); its variants are computed anew"):
+        again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path, workers=counted)
     assert counted.submitted == 1
     assert str(again.columns) == str(first.columns)
     assert (tmp_path / "sweep.csv").read_bytes() == before
@@ -464,11 +468,13 @@ def test_damaged_chunks_are_found_and_computed_anew(tmp_path: Path, damage: str)
 
 @pytest.mark.slow
 def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    output: Any = tmp_path
+
     def computed(**how: Any) -> int:
         counted = Counting()
         base = how.pop("base", DESIGN)
         evaluate = Evaluation("mc", **{"events": 20} | how)
-        sweep(base, {"cgem.L1.foils": [2]}, evaluate, output=tmp_path, workers=counted)
+        sweep(base, {"cgem.L1.foils": [2]}, evaluate, output=output, workers=counted)
         return counted.submitted
 
     assert computed() == 2
@@ -477,8 +483,19 @@ def test_chunks_depend_on_all_that_results_depend_on(tmp_path: Path, monkeypatch
     for change in ({"seed": 2}, {"events": 21}, {"p": 0.5}, {"cos_theta": 0.1}, {"particle": "pi-"},
                    {"quantities": ["dr"]}, {"base": DESIGN.with_overrides({"field.bz": "0.9 T"})},
                    {"settings": cg.Settings(simulate=cg.SimulateSettings(deltas=False))}):  # fmt: skip
+        with pytest.raises(OutputExistsError, match="results of another plan"):
+            computed(**change)
+        output = cg.Output(tmp_path, overwrite=True)
         assert computed(**change) == 2, change
+        output = tmp_path
+        assert computed(**change) == 0, change
+    output = cg.Output(tmp_path, overwrite=True)
+    assert computed() == 2
     monkeypatch.setattr(sys.modules["cgemit.study.sweep.run"], "PHYSICS", 10**6)
+    output = tmp_path
+    with pytest.raises(OutputExistsError, match="or of another version"):
+        computed()
+    output = cg.Output(tmp_path, overwrite=True)
     assert computed() == 2
 
 
@@ -508,8 +525,8 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     chunks = tmp_path / "chunks"
     chunks.mkdir()
     (chunks / "mine.json").write_text("mine")
-    for overwrite in (True, False):
-        with pytest.raises(ValueError, match="holds files of no sweep in chunks"):
+    for overwrite, words in ((True, "'chunks', which is not of the results"), (False, "already holds files")):
+        with pytest.raises(OutputExistsError, match=words):
             sweep(DESIGN, PITCHES, evaluate=channels, output=cg.Output(tmp_path, overwrite=overwrite))
     assert (chunks / "mine.json").read_text() == "mine"
 
@@ -561,6 +578,59 @@ def test_a_killed_sweep_ends_as_an_uninterrupted_one(serial: list[bytes], tmp_pa
 
 
 def test_variants_of_the_space_are_not_all_alike() -> None:
-    found = sweep("besiii-cgem-design", SPACE, evaluate=lambda detector: {"name": detector.name})
+    found = sweep("besiii-cgem-design", SPACE, evaluate=lambda detector: {"is": detector.name})
     assert sorted(found.columns["status"]) == ["impossible"] * 4 + ["ok"] * 5
-    assert cg.load("besiii-cgem-design").name == found.columns["name"][0]
+    assert cg.load("besiii-cgem-design").name == found.columns["is"][0] == found.columns["name"][0]
+
+
+@pytest.mark.parametrize("name", ["variant", "name", "hash", "status", "problems", "cgem.*.pitch_x (um)"])
+def test_a_function_cannot_replace_columns_of_the_table(name: str, tmp_path: Path) -> None:
+    """It is refused with its first result, and nothing of it is stored."""
+    calls = []
+
+    def own(detector: Detector) -> dict[str, Any]:
+        calls.append(detector)
+        return {"good": 1, name: 0.5}
+
+    with pytest.raises(PlanError, match=rf"evaluate.method: got a result named {re.escape(repr(name))}"):
+        sweep(DESIGN, {"cgem.*.pitch_x": ["400 um", "500 um"]}, own, output=tmp_path / "out", workers=1)
+    assert len(calls) < 3
+    assert list((tmp_path / "out/chunks").iterdir()) == []
+
+
+def test_names_of_results_have_no_other_meaning(tmp_path: Path) -> None:
+    def own(detector: Detector) -> dict[str, Any]:
+        return {"float": math.nan, "columns": math.inf, "found": "float", "NaN": -math.inf}
+
+    for _ in range(2):  # computed, then read
+        found = sweep(DESIGN, {"cgem.*.pitch_x": ["400 um"]}, own, output=tmp_path)
+        assert found.results == ("float", "columns", "found", "NaN")
+        np.testing.assert_array_equal(found["float"], [math.nan] * 2)
+        assert found.columns["columns"] == [math.inf] * 2
+        assert found.columns["NaN"] == [-math.inf] * 2
+
+
+@pytest.mark.parametrize("kind", ["pipe", "nested", "rows", "link", "device"])
+def test_chunks_that_cannot_be_read_are_computed_anew(kind: str, tmp_path: Path) -> None:
+    first = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    chunk = sorted((tmp_path / "chunks").iterdir())[0]
+    text = chunk.read_text()
+    chunk.unlink()
+    if kind == "pipe":
+        os.mkfifo(chunk)
+    elif kind == "device":
+        chunk.symlink_to("/dev/zero")
+    elif kind == "link":
+        (tmp_path / "chunks/loop").symlink_to(chunk)
+        chunk.symlink_to("loop")
+    elif kind == "nested":
+        chunk.write_text("[" * 100_000)
+    else:
+        rows = "[" * 50_000
+        chunk.write_text(
+            json.dumps({**json.loads(text), "rows": rows, "sha256": hashlib.sha256(rows.encode()).hexdigest()})
+        )
+    with pytest.warns(UserWarning, match="cannot be read"):
+        again = sweep(DESIGN, PITCHES, evaluate=channels, output=tmp_path)
+    assert str(again.columns) == str(first.columns)
+    assert chunk.read_text() == text
