@@ -41,7 +41,8 @@ def measured(p: float) -> Measured:
     compact, helix = compiled(detector), np.array([0, 0.4, -1 / p, 0, 0])
     hits = hits_on(detector, helix)
     settings = dataclasses.asdict(FitSettings())
-    chosen = {"errors_from_track": False} | {name: settings[name] for name in CORE_SETTINGS}
+    chosen = {"errors_from_track": False, "momentum": p, "prior_sigma": settings["prior_sigma"]}
+    chosen |= {name: settings[name] for name in CORE_SETTINGS}
     out = _core.fit(
         compact, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]), start=helix[None],
         settings=chosen, residuals=False,

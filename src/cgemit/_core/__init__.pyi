@@ -170,6 +170,7 @@ class Detector:
     ) -> None: ...
     # radius mm; matter inside was not crossed, or twice if it is negative.
     def beginning_at(self, radius: float) -> Detector: ...
+    def in_field(self, bz: float) -> Detector: ...
     # parts (n_slabs, 5): of the scatters of each slab in the variances (5,) of a track
     def share_scattering(self, *, parts: npt.ArrayLike, variances: npt.ArrayLike) -> None: ...
     @property
@@ -443,6 +444,7 @@ def states(
     kinks: npt.ArrayLike,
     prior: npt.ArrayLike,
     mass: npt.ArrayLike,
+    matter_p: npt.ArrayLike = ...,
     start_radius: npt.ArrayLike = ...,
     fitted: npt.ArrayLike,
     targets: _Columns,
@@ -454,10 +456,12 @@ def extrapolate(
     helix: npt.ArrayLike,
     cov: npt.ArrayLike,
     mass: npt.ArrayLike,
+    matter_p: npt.ArrayLike = ...,
     radius: float,
     share: npt.ArrayLike,
     target_share: float,
 ) -> dict[str, _Array]: ...
+def matter_momenta(*, kappa: npt.ArrayLike, sigma: npt.ArrayLike, tanl: npt.ArrayLike, momentum: float) -> _Floats: ...
 def change_pivot(
     helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: npt.ArrayLike
 ) -> tuple[_Floats, _Floats]: ...

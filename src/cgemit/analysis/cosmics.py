@@ -11,6 +11,7 @@ from cgemit import helix
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import Resolution, measure
 from cgemit.chain.result import Result
+from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
 from cgemit.tables.show import Shown, Tabular, with_error
 
@@ -30,7 +31,8 @@ class Cosmics(Shown, Tabular):
     events : int
         Events with exactly two fitted tracks, one upward and one downward.
     halves : mapping of str to Resolution
-        Difference of the halves over sqrt(2), in the quoted unit: the resolution of one half, without truth.
+        Difference of the halves over sqrt(2), in the quoted unit: the resolution of one half, without truth. Momenta
+        that the curvature of a half does not measure are left out (`removed`).
     pulls : mapping of str to Resolution
         Difference over its error by both fits.
     truth : mapping of str to Resolution
@@ -40,7 +42,7 @@ class Cosmics(Shown, Tabular):
     parameters, cov : ndarray, (events, 5), (events, 5, 5) float64
         Of the one track: helices of the downward half at the origin.
     chi2 : ndarray, (events,) float64
-        Of the two halves' being one track; five degrees of freedom.
+        Of the two halves' being one track; five degrees of freedom, four without a field.
 
     Examples
     --------
@@ -117,25 +119,29 @@ def cosmics(given: Result | Table) -> Cosmics:
     errors = np.sqrt(np.diagonal(cov + cov_other, axis1=1, axis2=2))
     p_error = np.hypot(helix.momentum_error(down, cov), helix.momentum_error(other, cov_other))
     error = dict(zip(_NAMES, [*errors.T, p_error], strict=True))
+    weak = np.any((tracks["status"] == FitStatus.unconstrained)[np.stack([lower, upper])], axis=0)
     truth = one_track = None
     if "truth_dr" in tracks:
         rows = np.concatenate([lower, upper])
         known = np.isfinite(tracks["res_dr"][rows])
-        truth = {name: _width(name, tracks[f"res_{name}"][rows][known]) for name in _NAMES}
+        weak_half = np.tile(weak, 2)[known]
+        truth = {name: _width(name, tracks[f"res_{name}"][rows][known], weak_half) for name in _NAMES}
         true = np.stack([tracks[f"truth_{name}"][lower] for name in helix.PARAMETERS], axis=1)
         fine = np.isfinite(true).all(axis=1)
-        one_track = {name: _width(name, value[fine]) for name, value in _differences(parameters, true).items()}
+        apart = _differences(parameters, true).items()
+        one_track = {name: _width(name, value[fine], weak[fine]) for name, value in apart}
     return Cosmics(
         len(lower),
-        {name: _width(name, value / np.sqrt(2)) for name, value in difference.items()},
-        {name: measure(value / error[name], parameter=name) for name, value in difference.items()},
+        {name: _width(name, value / np.sqrt(2), weak) for name, value in difference.items()},
+        {name: _width(name, value / error[name], weak, pull=True) for name, value in difference.items()},
         truth, one_track, parameters, joint, chi2,
     )  # fmt: skip
 
 
 def _halves(tracks: Table) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Return the rows of the upward and the downward track of the events that have one of each and no other."""
-    good = (tracks["status"] == 0) & np.isfinite(tracks["cov"]).all(axis=(1, 2))
+    fitted = np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
+    good = fitted & np.isfinite(tracks["cov"]).all(axis=(1, 2))
     number = np.diff(tracks.offsets)
     begin = tracks.offsets[:-1][number == 2]
     begin = begin[good[begin] & good[begin + 1]]
@@ -172,6 +178,11 @@ def _combined(first: Floats, cov: Floats, second: Floats, cov_second: Floats) ->
     return first + np.einsum("nij,nj->ni", gain, apart), cov - gain @ cov, chi2
 
 
-def _width(name: str, sample: Floats) -> Resolution:
+def _width(name: str, sample: Floats, weak: npt.NDArray[np.bool_], *, pull: bool = False) -> Resolution:
+    """Measure a sample in its quoted unit, or pulls; of momenta without those that are `weak`, not measured."""
     known = QUANTITIES[name]
-    return measure(sample * known.factor, parameter=name, unit=known.unit)
+    left_out = int(np.count_nonzero(weak)) if known.is_momentum else 0
+    removed = ((FitStatus.unconstrained.name, left_out),) if left_out else ()
+    sample = sample[~weak] if left_out else sample
+    factor, unit = (1.0, "") if pull else (known.factor, known.unit)
+    return measure(sample * factor, parameter=name, unit=unit, removed=removed)

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from cgemit.analysis.quantities import quantity_of
 from cgemit.analysis.resolutions import resolution
 from cgemit.analysis.widths import FEWEST, GaussianFit, Resolution
-from cgemit.chain.match import measuring
 from cgemit.tables import Table
 from cgemit.tables.show import shown, with_error
 
@@ -158,7 +157,7 @@ def track_spectrum(tracks: Table, parameter: str, bins: int = 80) -> Spectrum:
     if not widths.core > 0:
         raise ValueError(f"tracks: {widths.n} fitted of {len(tracks)}; expected at least {FEWEST} for a resolution")
     known = quantity_of(parameter)
-    values = known.residual(tracks)[measuring(tracks)]
+    values = known.residual(tracks)[known.counts(tracks)]
     edges = round_edges(*widths.window, bins)
     counts = histograms({"all": values}, edges)
     return Spectrum(f"{known.symbol}: fitted − true", known.unit, edges, counts, widths)

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from cgemit import helix, tables
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.errors import did_you_mean
-from cgemit.chain.match import measuring
+from cgemit.chain.match import is_matched
+from cgemit.reconstruction.fit import FitSettings, FitStatus
 
 Floats = npt.NDArray[np.float64]
 
@@ -93,6 +94,30 @@ class Quantity:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.sqrt(self.variance(tracks["cov"][:, *UPPER], tracks["kappa"], tracks["tanl"]))
 
+    @property
+    def is_momentum(self) -> bool:
+        """Whether the quantity depends on kappa."""
+        return self.name == "kappa" or (self.slopes is not None and "kappa" in self.slopes(_ANY))
+
+    def counts(self, tracks: Columns) -> npt.NDArray[np.bool_]:
+        """Return whether each track counts in resolutions: it measures its particle and this quantity, (n,) bool."""
+        return self.measured_by(tracks) & is_matched(tracks)
+
+    def measured_by(self, tracks: Columns) -> npt.NDArray[np.bool_]:
+        """Return whether each track was fitted, and measures this quantity, (n,) bool.
+
+        Tracks of status `unconstrained` do not measure their momentum, nor perhaps their position along z: they count
+        in the other quantities, and in those along z if the error is far below that of the fit's prior.
+        """
+        status = np.asarray(tracks["status"])
+        ok, weak = status == FitStatus.ok, status == FitStatus.unconstrained
+        if self.is_momentum or not weak.any():
+            return ok
+        along = {"dz": ("dz",), "tanl": ("tanl",), "theta": ("tanl",)}.get(self.name, ())
+        for name in along:
+            weak = weak & (np.asarray(tracks[f"err_{name}"]) < _OF_PRIOR[name])
+        return np.asarray(ok | weak)
+
     def gradient(self, kappa: Floats, tanl: Floats) -> Floats:
         """Return the derivatives with respect to (dr, phi0, kappa, dz, tanl), quoted per native unit.
 
@@ -134,6 +159,11 @@ class Quantity:
             if used[i] and used[j]:  # entries beside the diagonal stand for two
                 found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
         return found
+
+
+_ANY: Columns = {"kappa": np.ones(1), "tanl": np.zeros(1)}
+#: Errors along z, half of those of the default prior, at which the fit calls a track unconstrained.
+_OF_PRIOR = {name: 0.5 * sigma for name, sigma in zip(helix.PARAMETERS, FitSettings().prior_sigma, strict=True)}
 
 
 class _Truth:
@@ -232,7 +262,8 @@ def median_error(tracks: Columns, quantity: str) -> float:
     Of tracks with their matches, those that count in resolutions. It scatters much less than the core width, but it is
     right only where the pulls have the width 1.
     """
-    return median(QUANTITIES[quantity].error(tracks)[measuring(tracks)])
+    known = QUANTITIES[quantity]
+    return median(known.error(tracks)[known.counts(tracks)])
 
 
 def median(errors: Floats) -> float:

@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, quantity_of
+from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, Quantity, quantity_of
 from cgemit.analysis.widths import HEAD, Floats, Resolution, measure, stacked
 from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import InTurn
-from cgemit.chain.match import counts_left_out, measuring
+from cgemit.chain.match import counts_left_out, is_fitted
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
 from cgemit.particles.species import species
 from cgemit.tables import PARAMETERS, Table
@@ -38,7 +38,8 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     ----------
     tracks : Table or Result
         Of kind "tracks", or with such a table. Tracks that were fitted well and measure their particle (`MatchStatus`)
-        are used; the others are counted by status.
+        are used, and those of status `unconstrained` for quantities that they measure (not momenta); the others are
+        counted by status.
     parameter : str
         Name or symbol, such as "dr", "d_rho" or "σ(d_ρ)"; all are in `cgemit.analysis.quantities.NAMES`.
     window : (low, high) or None
@@ -62,7 +63,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     ('um', 198, 8, 500)
     """
     known, columns = quantity_of(parameter, "parameter"), track_columns(tracks)
-    return _measure(columns, known.residual(columns), known.name, known.unit, window)
+    return _measure(known, columns, known.residual(columns), known.name, known.unit, window)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,7 +161,7 @@ def pulls(tracks: Table | Result) -> Pulls:
     {'dr': 1.0, 'phi0': 1.0, 'kappa': 1.0, 'dz': 1.1, 'tanl': 1.0, 'p': 1.0}
     """
     columns = track_columns(tracks)
-    return Pulls(tuple(_measure(columns, columns[f"pull_{name}"], name) for name in PARAMETERS))
+    return Pulls(tuple(_measure(QUANTITIES[name], columns, columns[f"pull_{name}"], name) for name in PARAMETERS))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -265,9 +266,9 @@ def resolution_against(
     bin_of[x == edges[-1]] = len(edges) - 2
     bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
     chosen = [bin_of == i for i in range(len(edges) - 1)]
-    state = {name: columns[name] for name in ("status", "match")}
+    state = {name: columns[name] for name in ("status", "match", "err_dz", "err_tanl")}
     values = tuple(
-        _measure({name: one[rows] for name, one in state.items()}, sample[rows], known.name, unit, window)
+        _measure(known, {name: one[rows] for name, one in state.items()}, sample[rows], known.name, unit, window)
         for rows in chosen
     )
     means = tuple(float(x[rows].mean()) if rows.any() else math.nan for rows in chosen)
@@ -283,16 +284,18 @@ def _known(name: str, what: str, known: list[str]) -> str:
 
 
 def _measure(
+    known: Quantity,
     tracks: Columns,
     values: Floats,
     parameter: str,
     unit: str = "",
     window: tuple[float, float] | None = None,
 ) -> Resolution:
-    """Measure the values of the tracks that were fitted well and measure their particle."""
-    good = measuring(tracks)
+    """Measure the values of the tracks that were fitted well and measure their particle and the quantity."""
+    good, fitted = known.counts(tracks), known.measured_by(tracks)
     usable = good & np.isfinite(values)
-    removed = _removed(counts_left_out(tracks["status"], tracks["match"]), int(np.count_nonzero(good & ~usable)))
+    left_out = counts_left_out(tracks["status"], tracks["match"], fitted)
+    removed = _removed(left_out, int(np.count_nonzero(good & ~usable)))
     return measure(values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
 
 
@@ -591,7 +594,7 @@ def chi2_probability(tracks: Table | Result) -> Floats:
     from scipy.special import gammaincc  # scipy takes half a second to import
 
     tracks = tracks_of(tracks)
-    rows = (tracks["status"] == 0) & (tracks["ndf"] > 0) & np.isfinite(tracks["chi2"])
+    rows = is_fitted(tracks) & (tracks["ndf"] > 0) & np.isfinite(tracks["chi2"])
     return np.asarray(gammaincc(tracks["ndf"][rows] / 2, tracks["chi2"][rows] / 2), np.float64)
 
 
@@ -687,7 +690,8 @@ def chi2_flatness(tracks: Table | Result, bins: int = 20) -> Flatness:
     kolmogorov = special.kolmogorov(distance * (math.sqrt(n) + 0.12 + 0.11 / math.sqrt(n)))
     counts = np.histogram(probability, bins, (0.0, 1.0))[0]
     chi2 = float(np.sum((counts - n / bins) ** 2) / (n / bins))
-    removed = _removed(counts_left_out(tracks["status"]), int(np.count_nonzero(tracks["status"] == 0)) - n)
+    good = is_fitted(tracks)
+    removed = _removed(counts_left_out(tracks["status"], fitted=good), int(np.count_nonzero(good)) - n)
     mean, error = float(probability.mean()), math.sqrt(1 / 12 / n)
     binned = float(special.gammaincc((bins - 1) / 2, chi2 / 2))
     return Flatness(n, removed, mean, error, float(kolmogorov), chi2, bins - 1, binned)

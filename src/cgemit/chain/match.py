@@ -314,32 +314,57 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
     return columns
 
 
-def measuring(tracks: Any) -> Flags:
-    """Return which tracks count in resolutions: fitted well, and matched (`MatchStatus`), (tracks,) bool.
+def is_fitted(tracks: Any) -> Flags:
+    """Return which tracks were fitted, with a measured momentum or without (`unconstrained`), (tracks,) bool.
+
+    Parameters
+    ----------
+    tracks : Table, or columns by name
+    """
+    return np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
+
+
+def is_matched(tracks: Any) -> Flags:
+    """Return which tracks measure their particle (`MatchStatus`), (tracks,) bool.
 
     Parameters
     ----------
     tracks : Table, or columns by name
         With the columns of their matches.
     """
-    return np.asarray((tracks["status"] == FitStatus.ok) & (tracks["match"] == MatchStatus.matched))
+    return np.asarray(tracks["match"] == MatchStatus.matched)
 
 
-def counts_left_out(status: npt.NDArray[Any], match: npt.NDArray[Any] | None = None) -> dict[str, int]:
+def measuring(tracks: Any) -> Flags:
+    """Return which tracks were fitted and measure their particle, (tracks,) bool.
+
+    Parameters
+    ----------
+    tracks : Table, or columns by name
+        With the columns of their matches.
+    """
+    return is_fitted(tracks) & is_matched(tracks)
+
+
+def counts_left_out(
+    status: npt.NDArray[Any], match: npt.NDArray[Any] | None = None, fitted: Flags | None = None
+) -> dict[str, int]:
     """Return how many tracks resolutions leave out, by `FitStatus` and, of those that were fitted, `MatchStatus`.
 
     Parameters
     ----------
     status, match : ndarray, (tracks,) int
         Without a truth, `match` is None.
+    fitted : ndarray or None, (tracks,) bool
+        Tracks whose status is no reason to leave them out; None: those of status `ok`.
     """
-    codes, numbers = np.unique(status[status != FitStatus.ok], return_counts=True)
+    fitted = status == FitStatus.ok if fitted is None else fitted
+    codes, numbers = np.unique(status[~fitted], return_counts=True)
     names = {int(one): one.name for one in FitStatus}
     counts = {names.get(int(code), f"status {code}"): int(n) for code, n in zip(codes, numbers, strict=True)}
     if match is not None:
-        fitted = match[status == FitStatus.ok]
         others = (one for one in MatchStatus if one != MatchStatus.matched)
-        counts |= {one.name: n for one in others if (n := int(np.count_nonzero(fitted == one)))}
+        counts |= {one.name: n for one in others if (n := int(np.count_nonzero(match[fitted] == one)))}
     return counts
 
 

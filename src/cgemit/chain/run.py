@@ -38,6 +38,7 @@ from cgemit.chain.settings import (
     Settings,
     detectors_of,
     expected_settings,
+    find_settings,
     fit_settings,
     for_run,
     refinements_of,
@@ -252,7 +253,7 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     again = settings.refine.find_again and job.finder != "truth"
     found: Tables = {}
     for step, tables in turns(
-        job.fit_detector, hits, finder, fit_settings(settings), refinements_of(settings), find_again=again
+        job.fit_detector, hits, finder, fit_settings(settings, job.source), refinements_of(settings), find_again=again
     ):
         found |= tables
         yield step, tables
@@ -269,11 +270,10 @@ def finder_of_run(job: Job, truths: Truths) -> Finder:
     job : Job
     truths : Truths
     """
-    return (
-        job.finder
-        if callable(job.finder)
-        else FINDERS[job.finder](job.settings.find, fit_settings(job.settings), truths)
-    )
+    if callable(job.finder):
+        return job.finder
+    settings, source = job.settings, job.source
+    return FINDERS[job.finder](find_settings(settings, source), fit_settings(settings, source), truths)
 
 
 def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:

@@ -9,6 +9,7 @@ from typing import Any
 from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector
 from cgemit.detector.readouts import READOUTS, Readout
+from cgemit.particles.gun import Guns, Source, usual_momentum
 from cgemit.reconstruction.candidates import Finder
 from cgemit.reconstruction.cluster import CLUSTERERS, clusterer_of
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
@@ -67,14 +68,31 @@ class Settings(SettingsData):
     refine: RefineSettings = field(default_factory=RefineSettings)
 
 
-def fit_settings(settings: Settings) -> FitSettings:
-    """Return the settings of the fit; a screening of None becomes the simulated one.
+def fit_settings(settings: Settings, source: Source | Guns | None = None) -> FitSettings:
+    """Return the settings of the fit; a screening of None becomes the simulated one, a momentum of None the gun's.
 
     Parameters
     ----------
     settings : Settings
+    source : Source, Guns or None
+        What shoots the particles.
     """
-    return settings.fit if settings.fit.screening else replace(settings.fit, screening=settings.simulate.screening)
+    fit = settings.fit
+    return replace(
+        fit, screening=fit.screening or settings.simulate.screening, momentum=fit.momentum or usual_momentum(source)
+    )
+
+
+def find_settings(settings: Settings, source: Source | Guns | None = None) -> FindSettings:
+    """Return the settings of the finder; a momentum of None becomes that of the fit, or the gun's.
+
+    Parameters
+    ----------
+    settings : Settings
+    source : Source, Guns or None
+        What shoots the particles.
+    """
+    return replace(settings.find, momentum=settings.find.momentum or fit_settings(settings, source).momentum)
 
 
 def register_readout(

@@ -98,7 +98,7 @@ def _states(
         },
         reference=np.stack([zero, tracks.phi[rows], tracks.kappa[rows], zero, tracks.tanl[rows]], axis=1),
         kinks=np.zeros((n, 2 * core.n_slabs)),
-        prior=np.tile(np.diag(np.square(tracks.fit.prior_sigma)).ravel(), (n, 1)),
+        prior=np.tile(np.diag(np.square(tracks.fit.prior_in(tracks.detector))).ravel(), (n, 1)),
         mass=tracks.mass[rows],
         fitted=np.ones(n, np.uint8),
         targets={
@@ -281,7 +281,7 @@ def _hit_model(detector: Detector, clusterer: Clusterer, sides_known: bool, fit:
     """Return how hits of a readout are expected."""
     model: HitModel = {
         "least_width": fit.least_width, "delta_strips": fit.delta_strips, "sides_known": sides_known, "seed": 0,
-        "prior_sigma": fit.prior_sigma,
+        "prior_sigma": fit.prior_in(detector),
     }  # fmt: skip
     model = with_errors_of(model, clusterer, detector)
     least = clusterer.readout.least_electrons

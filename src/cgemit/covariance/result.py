@@ -92,9 +92,36 @@ def _together(found: Sequence[Entries], quantities: Sequence[str]) -> Iterator[W
     every = np.array([quantity_of(name).variance(covariance, sample.kappa, sample.tanl) for name in quantities])
     sigma = core_width(every.reshape(-1, number)).reshape(len(quantities), count, -1)
     status, reached = status_of(np.stack([one.status for one in found]).reshape(-1, number))
+    weak = unconstrained(covariance, sample.kappa, sample.tanl, number).ravel()
+    status[weak] = FitStatus.unconstrained
+    for row, name in zip(sigma, quantities, strict=True):
+        if quantity_of(name).is_momentum:
+            row.reshape(-1)[weak] = np.nan
     for i in range(count):
         points = slice(i * n_points, (i + 1) * n_points)
         yield Widths(dict(zip(quantities, sigma[:, i], strict=True)), status[points], reached[points])
+
+
+#: Relative error of a momentum above which it is not measured, as in the fit.
+_MOST_ERROR = 0.5
+
+
+def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) -> npt.NDArray[np.bool_]:
+    """Return the points whose momentum is not measured, (..., points) bool: it is known to half of itself or worse.
+
+    Parameters
+    ----------
+    covariance : ndarray, (..., tracks, 15) float64
+        The upper triangle, NaN without a covariance.
+    kappa, tanl : ndarray, (tracks,) float64
+    number : int
+        Of the tracks of each point.
+    """
+    known = QUANTITIES["p_rel"]
+    variance = known.variance(covariance, kappa, tanl) / known.factor**2
+    variance = variance.reshape(*variance.shape[:-1], -1, number)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(mean(variance, ~np.isnan(variance)) > _MOST_ERROR**2)
 
 
 By = Literal["source", "part", "material", "cause"]
@@ -355,8 +382,18 @@ class Covariance:
 
     @cached_property
     def status(self) -> npt.NDArray[np.int8]:
-        """`FitStatus`: ok if any sample of the point has a covariance, else that of most samples."""
-        return status_of(self._by_point("status"))[0].reshape(self.p.shape)
+        """`FitStatus`: ok if any sample of the point has a covariance, else that of most samples.
+
+        It is `unconstrained` where the momentum is not measured: its error exceeds half of it.
+        """
+        found = status_of(self._by_point("status"))[0]
+        found[self._unconstrained] = FitStatus.unconstrained
+        return found.reshape(self.p.shape)
+
+    @cached_property
+    def _unconstrained(self) -> npt.NDArray[np.bool_]:
+        tracks = self._tracks
+        return unconstrained(self._columns["covariance"], tracks.kappa, tracks.tanl, tracks.samples)
 
     @cached_property
     def reached(self) -> Floats:
@@ -403,7 +440,7 @@ class Covariance:
         Returns
         -------
         ndarray, float64
-            In the quoted unit; NaN where no sample has a covariance.
+            In the quoted unit; NaN where no sample has a covariance, and for momenta that are not measured.
 
         Raises
         ------
@@ -426,10 +463,12 @@ class Covariance:
     def variances(self, quantity: str) -> Floats:
         """Return the variance of every sample, shape + (samples,), in the square of the quoted unit.
 
-        It is NaN without a covariance.
+        It is NaN without a covariance, and for momenta and kappa where the status is `unconstrained`.
         """
-        tracks = self._tracks
-        found = quantity_of(quantity).variance(self._columns["covariance"], tracks.kappa, tracks.tanl)
+        tracks, known = self._tracks, quantity_of(quantity)
+        found = known.variance(self._columns["covariance"], tracks.kappa, tracks.tanl).reshape(-1, tracks.samples)
+        if known.is_momentum:
+            found[self._unconstrained] = np.nan
         return found.reshape(*self.p.shape, tracks.samples)
 
     def budget(self, quantity: str) -> Budget:

@@ -167,6 +167,8 @@ _MARGIN_R, _MARGIN_Z = 50.0, 600.0  # mm, beyond the outermost part; steep track
 def compiled_field(detector: Contents) -> _core.Field | None:
     """Return the field that tracks step through, or None where it is uniform."""
     field = detector.field
+    if field.bz == 0 and not isinstance(field, MapField):
+        return None
     if isinstance(field, HarmonicField):
         reach = (field.r_max, field.z_max)
         return _core.Field(bz=field.bz, b=field.b, q=field.q, tolerance=field.tolerance, reach=reach)
@@ -176,7 +178,9 @@ def compiled_field(detector: Contents) -> _core.Field | None:
         grid = solenoid_grid(field.coil_radius, field.half_length, field.z_offset, reach)
         return _on_grid(grid, field.bz, field.bz, field.tolerance)
     if isinstance(field, MapField):
-        return _on_grid(field.grid, field.bz / field.grid.bz_at_origin(), field.bz, field.tolerance)
+        own = field.grid.bz_at_origin()
+        scale = field.bz / own if own else 1.0
+        return _on_grid(field.grid, scale, field.bz, field.tolerance) if scale and field.grid.largest() else None
     return None
 
 

@@ -127,6 +127,10 @@ class FieldGrid:
             row = np.tensordot(_weights(axis, 0.0), row, axes=(0, 0))
         return float(row)
 
+    def largest(self) -> float:
+        """Return the largest size of the field on the grid, T."""
+        return float(np.sqrt(np.max(np.sum(np.square(self.values), axis=-1))))
+
 
 def _weights(axis: Axis, at: float) -> Floats:
     """Return the B-splines of an axis at a point."""

@@ -50,12 +50,15 @@ def helix_points(helix: Array, bz: float, r_max: float, z_max: float, n: int = 4
         m <= n.
     """
     dr, phi0, kappa, dz, tanl = helix
-    radius = RADIUS_PER_KAPPA / (bz * kappa)
+    w = -bz * kappa / RADIUS_PER_KAPPA  # 1/mm, turn per length
     # Half a turn, or the whole way out of the cylinder for an almost straight track.
-    length = np.linspace(0.0, min(np.pi * abs(radius), 1.5 * (r_max + abs(dr))), n)
-    turn = -length / radius
-    x = dr * np.cos(phi0) + radius * (np.cos(phi0) - np.cos(phi0 + turn))
-    y = dr * np.sin(phi0) + radius * (np.sin(phi0) - np.sin(phi0 + turn))
+    out = 1.5 * (r_max + abs(dr))
+    length = np.linspace(0.0, min(np.pi / abs(w), out) if w else out, n)
+    # Along its chord, which points half of the turn ahead; written without the radius.
+    half = 0.5 * w * length
+    chord = length * np.sinc(half / np.pi)
+    x = dr * np.cos(phi0) - chord * np.sin(phi0 + half)
+    y = dr * np.sin(phi0) + chord * np.cos(phi0 + half)
     z = dz + length * tanl
     inside = (np.hypot(x, y) <= r_max) & (np.abs(z) <= z_max)
     last = n if inside.all() else int(np.argmin(inside))
@@ -250,7 +253,7 @@ def _states(part: Result) -> States:
     needed = ("tracks", "candidates", "candidate_hits", "clusters", "wire_hits")
     if any(part.tables.get(name) is None for name in needed) or not len(part.fitted):
         return {name: np.empty(0) for name in names}
-    settings = replace(fit_settings(part.settings), states=("beam_line", "hits"), residuals=False)
+    settings = replace(fit_settings(part.settings, part.gun), states=("beam_line", "hits"), residuals=False)
     found = fit(
         part.fit_detector or part.detector, *part.fitted_hits, part.candidates, part.candidate_hits,
         settings,
@@ -262,7 +265,8 @@ def _states(part: Result) -> States:
 def _paths(part: Result, tracks: Table, states: States, r: float, z: float) -> list[Path]:
     """Return the fitted tracks through their states; as the helix at the origin where there are none."""
     found = []
-    for row in np.flatnonzero((tracks["status"] == FitStatus.ok) & np.isfinite(tracks["kappa"])):
+    fitted = np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
+    for row in np.flatnonzero(fitted & np.isfinite(tracks["kappa"])):
         helix = np.array([tracks[name][row] for name in PARAMETERS])
         mine = states["track"] == row
         if np.count_nonzero(mine) > 1:
@@ -275,9 +279,17 @@ def _paths(part: Result, tracks: Table, states: States, r: float, z: float) -> l
     return found
 
 
+_ALMOST_STRAIGHT = 1e-3  # T/(GeV/c): a radius above 3 km
+
+
 def _turned(points: Array, helix: Array, bz: float) -> Array:
-    """Return the angle, (n,) rad, by which a track has turned about the centre of its circle at each point."""
+    """Return what orders points along a track, (n,): the angle turned about the centre of its circle, rad.
+
+    Of a track that is all but straight it is the length along it, mm.
+    """
     dr, phi0, kappa = helix[:3]
+    if abs(bz * kappa) < _ALMOST_STRAIGHT:
+        return np.asarray(points[:, 1] * np.cos(phi0) - points[:, 0] * np.sin(phi0))
     radius = RADIUS_PER_KAPPA / (bz * kappa)
     centre = (dr + radius) * np.array([np.cos(phi0), np.sin(phi0)])
     x, y = (points[:, :2] - centre).T * -np.sign(radius)

@@ -338,6 +338,36 @@ def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_e
     problems.report("generate", ParticleError)
 
 
+def usual_momentum(source: Source | Guns | None) -> float | None:
+    """Return the momentum that is known of the particles of guns, GeV/c; None without a gun.
+
+    The geometric mean of the ends of a range or of the values in turn, and of several guns. With pT, at the middle of
+    the polar angles.
+
+    Parameters
+    ----------
+    source : Source, Guns or None
+    """
+    guns = source.guns if isinstance(source, Guns) else (source,)
+    if not all(isinstance(gun, Gun) for gun in guns):
+        return None
+    return math.exp(np.mean([np.mean(np.log(_momenta(gun))) for gun in guns if isinstance(gun, Gun)]))
+
+
+def _momenta(gun: Gun) -> Array:
+    """Return the ends of the range of momenta, the values in turn, or the only one."""
+    if gun.p is not None:
+        return _ends(gun.p)
+    polar = _ends(gun.theta if gun.cos_theta is None else gun.cos_theta)
+    middle = float(np.mean([polar.min(), polar.max()]))
+    return _ends(gun.pt) / (math.sin(middle) if gun.cos_theta is None else math.sqrt(1 - middle * middle))
+
+
+def _ends(value: object) -> Array:
+    found = value.values if isinstance(value, InTurn) else value
+    return np.atleast_1d(np.asarray(found, np.float64))
+
+
 def _check_across(gun: Gun, problems: Problems) -> None:
     """Note polar angles along z: with a given pT the momentum cannot point there."""
     for name, least, most in (("theta", 0, math.pi), ("cos_theta", -1, 1)):

@@ -19,7 +19,7 @@ from cgemit.detector.channels import checked
 from cgemit.detector.core import with_hits_of
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
-from cgemit.reconstruction.states import SurfaceName, state_columns
+from cgemit.reconstruction.states import USUAL_MOMENTUM, SurfaceName, state_columns
 from cgemit.tables import Table
 
 MassHypothesis = Literal[Hypothesis, "all"]
@@ -83,7 +83,11 @@ class FitSettings(SettingsData):
     outlier_pull : float
         A hit this many standard deviations from the track fitted without it is left out. 0: every hit is used.
     prior_sigma : tuple of float
-        Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior.
+        Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior. That of kappa
+        grows in fields below 0.1 T, so that it stays far above the error of the curvature (docs/methods/fit.md).
+    momentum : float or None
+        GeV/c, with which tracks scatter and lose energy whose curvature does not measure their momentum
+        (docs/methods/fit.md). None: that of the gun in `run`, else 1 GeV/c.
 
     Raises
     ------
@@ -115,6 +119,7 @@ class FitSettings(SettingsData):
     kinks: bool = True
     outlier_pull: Pull = 5.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
+    momentum: Positive | None = None
 
     def contradictions(self, problems: Problems) -> None:
         """Note several hypotheses that do not go together."""
@@ -123,6 +128,12 @@ class FitSettings(SettingsData):
             problems.note("hypothesis", repr(given), "'all' alone")
         elif isinstance(given, tuple) and len(set(map(str, given))) < len(given):
             problems.note("hypothesis", repr(given), "each name once")
+
+    def prior_in(self, detector: Detector) -> tuple[float, ...]:
+        """Return the prior's standard deviations in the field of a detector, as `prior_sigma`."""
+        bz = abs(detector.field.bz)
+        wider = _FIELD_OF_PRIOR / bz if _STRAIGHT <= bz < _FIELD_OF_PRIOR else 1.0
+        return tuple(one * wider if i == _KAPPA else one for i, one in enumerate(self.prior_sigma))
 
     def hypotheses(self) -> tuple[str, ...]:
         """Return the names of the particles whose masses are assumed; none for that of each candidate itself."""
@@ -135,9 +146,13 @@ Floats = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 
 #: Fields that the core's settings have, too.
-CORE_SETTINGS = (
-    "max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull", "prior_sigma"
-)  # fmt: skip
+CORE_SETTINGS = ("max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull")
+
+_KAPPA = helix.PARAMETERS.index("kappa")
+#: T. The prior of kappa is that of the settings above this field; below, it is constant in curvature.
+_FIELD_OF_PRIOR = 0.1
+#: T, below which tracks are fitted as straight lines (`is_straight` of the core).
+_STRAIGHT = 1e-4
 
 #: Column of the candidates that comes before the setting of this name.
 BEGIN = "start_radius"
@@ -245,6 +260,7 @@ def fit(
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
+        | {"momentum": settings.momentum or USUAL_MOMENTUM}
     }
     columns = _track_columns(out, event, candidate, pdg)
     columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)
@@ -252,7 +268,7 @@ def fit(
     if settings.residuals:
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
     if settings.states:
-        settled = out["status"] == FitStatus.ok
+        settled = np.isin(out["status"], (FitStatus.ok, FitStatus.unconstrained))
         columns = state_columns(detector, core, settings.states, tables["tracks"], mass, radii, hits, out, settled)
         tables["states"] = Table("states", columns, **about)
     return tables
@@ -331,7 +347,11 @@ def core_arguments(
         "start": start,
         "start_radius": np.full(len(mass), settings.start_radius) if radii is None else radii,
         "settings": {name: getattr(settings, name) for name in CORE_SETTINGS}
-        | {"errors_from_track": settings.cluster_errors == "track"},
+        | {
+            "errors_from_track": settings.cluster_errors == "track",
+            "prior_sigma": settings.prior_in(detector),
+            "momentum": settings.momentum or USUAL_MOMENTUM,
+        },
         "residuals": settings.residuals,
         "states": bool(settings.states),
     }

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import helix
+from cgemit import _core, helix
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
@@ -28,6 +28,7 @@ from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import displaced
+from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]
@@ -252,7 +253,9 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     length = np.zeros((len(begins), int(place.max(initial=0)) + 1))
     length[row, place] = np.where(place > 0, arc * np.hypot(1.0, states["tanl"]), 0.0)
     along = np.cumsum(length, axis=1)[row, place]
-    slowness = np.hypot(1.0, _masses(candidates, tracks) / tracks["p"]) / LIGHT
+    known = tracks["status"] != _core.FitStatus.unconstrained
+    p = np.where(known, tracks["p"], tracks.meta.get("momentum", USUAL_MOMENTUM))
+    slowness = np.hypot(1.0, _masses(candidates, tracks) / p) / LIGHT
     return np.asarray(along * slowness[track], np.float64)
 
 
@@ -521,7 +524,7 @@ class _Fits(NamedTuple):
         predicted = side * wires["drift"][hit] - residual
         certain = np.abs(predicted) > CERTAIN * wires["sigma"][hit]
         slope = np.where(certain, side * velocity_at(np.abs(predicted)), 0.0)
-        good = tracks["status"] == 0
+        good = np.isin(tracks["status"], (_core.FitStatus.ok, _core.FitStatus.unconstrained))
         return cls(
             at=at, gradient=np.bincount(track, slope * residual / err**2, len(tracks)).astype(np.float64),
             info=np.bincount(track, (slope / err) ** 2, len(tracks)) * good,

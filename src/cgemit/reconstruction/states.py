@@ -26,6 +26,9 @@ Columns = dict[str, npt.ArrayLike]
 #: Surfaces of states by name; a number is the radius of a cylinder in mm.
 SurfaceName = Literal["origin", "beam_line", "beam_pipe", "hits"]
 
+#: GeV/c, assumed where neither the curvature nor anything else tells the momentum.
+USUAL_MOMENTUM = 1.0
+
 _MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 
 
@@ -61,7 +64,8 @@ def state_columns(
         Of the fit: `reference` (n, 5) float64, the helix of the reference trajectory of its last iteration, with the
         azimuth of flight for phi0; `kinks` (n slabs, 2) float64, rad, the scattering of that trajectory in every slab;
         `prior` (n, 25) float64, the covariance of its filter's prior; `used` (hits,) uint8, whether it used a hit;
-        `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured.
+        `used_value`, `used_variance` (hits,) float64, mm and mm2, what it measured; `matter_p` (n,) float64, GeV/c,
+        the momentum with which the track scatters, 0 for that of its kappa.
     settled : ndarray, (n,) bool
         Whether the fit has settled; otherwise its last iteration may have begun far from its result.
 
@@ -79,6 +83,7 @@ def state_columns(
         kinks=fitted["kinks"].reshape(len(fitted["reference"]), 2 * len(slabs(detector))),
         prior=fitted["prior"],
         mass=mass,
+        matter_p=fitted["matter_p"],
         start_radius=radii,
         fitted=settled.astype(np.uint8),
         targets=targets,
@@ -106,6 +111,7 @@ def extrapolate(
     screening: str = SCREENINGS[0],
     loss: str = "truncated",
     radiation: bool = True,
+    momentum: float | None = None,
 ) -> Table:
     """Extrapolate fitted tracks to a cylinder, outward or inward, through the matter in between.
 
@@ -125,6 +131,9 @@ def extrapolate(
     screening, loss, radiation : str, str, bool
         Screening of nuclei in multiple scattering, the energy loss subtracted, and whether electrons and positrons
         radiate, as in `FitSettings`.
+    momentum : float or None
+        GeV/c, with which tracks scatter and lose energy whose curvature does not measure their momentum, as in
+        `FitSettings`. None: that of the fit.
 
     Returns
     -------
@@ -143,16 +152,20 @@ def extrapolate(
     >>> print(np.hypot(states["pivot_x"], states["pivot_y"]).round(3))
     [900. 900. 900. 900. 900.]
     """
-    problems = _start_problems(table, radius, particle, screening, loss)
+    problems = _start_problems(table, radius, particle, screening, loss, momentum)
     if problems:
         raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
     detector, of_state, n = load(detector), table.kind == "states", len(table)
     pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
     parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
+    in_matter = _core.matter_momenta(
+        kappa=table["kappa"], sigma=np.sqrt(table["cov"][:, 2, 2]), tanl=table["tanl"],
+        momentum=momentum or float(table.meta.get("momentum", USUAL_MOMENTUM)),
+    )  # fmt: skip
     out = _core.extrapolate(
         compiled(detector, screening=screening, loss=loss, radiation=bool(radiation)), pivot=pivot, helix=parameters,
-        cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), radius=float(radius),
+        cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), matter_p=in_matter, radius=float(radius),
         share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip
     at = _at(out)
@@ -168,7 +181,9 @@ def extrapolate(
     return Table("states", columns | at, meta=table.meta, **table.cover)
 
 
-def _start_problems(table: Table, radius: object, particle: object, screening: object, loss: object) -> list[str]:
+def _start_problems(
+    table: Table, radius: object, particle: object, screening: object, loss: object, momentum: object
+) -> list[str]:
     """Return the problems of the arguments of `extrapolate`."""
     problems = []
     fits = isinstance(table, Table) and table.kind in ("states", "tracks")
@@ -184,6 +199,8 @@ def _start_problems(table: Table, radius: object, particle: object, screening: o
         problems.append("particle: none given, and the table's hypothesis is none of e, mu, pi, K, p")
     if loss not in tuple(_core.CoreLoss.__members__):
         problems.append(f"loss: got {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
+    if momentum is not None and not 0 < number(momentum) < math.inf:
+        problems.append(f"momentum: got {momentum!r}, expected a positive number, GeV/c")
     if screening not in SCREENINGS:
         problems.append(f"screening: got {screening!r}, expected one of {', '.join(map(repr, SCREENINGS))}")
     return problems

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import helix
+from cgemit import _core, helix
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector, compiled, load
@@ -99,6 +99,8 @@ class BeamSpot(SettingsData):
 def pair_tracks(tracks: Table, particles: tuple[str, str] | None = None) -> Rows:
     """Return all pairs of fitted tracks of opposite charge of each event.
 
+    Tracks of status `unconstrained` are in none: their charge is not measured.
+
     Parameters
     ----------
     tracks : Table of kind "tracks"
@@ -155,6 +157,12 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
     if pairs is None:
         several = known and len(np.unique(tracks["hypothesis"])) > 1 and _several(tracks)
         pairs = pair_tracks.unchecked(tracks, particles if several else None)
+        unknown = int(np.count_nonzero(tracks["status"] == _core.FitStatus.unconstrained))
+        if unknown and not np.any(tracks["status"] == _core.FitStatus.ok):
+            problems.append(
+                f"pairs: none given, and the curvature of no track measures its charge ({unknown} tracks of status "
+                "unconstrained); expected the rows of pairs"
+            )
     given = np.asarray(pairs)
     given = given.reshape(0, 2) if given.size == 0 else given
     if not known:
@@ -346,12 +354,13 @@ def fit_vertices(
     Returns
     -------
     Table of kind "vertices"
-        One row per pair, ordered by event. Rows whose `status` is not ok hold NaN.
+        One row per pair, ordered by event. Rows whose `status` is not ok hold NaN. So do momentum and mass of pairs
+        with a track of status `unconstrained`.
 
     Raises
     ------
     ValueError
-        Listing every problem of the arguments.
+        Listing every problem of the arguments, or if no pairs are given and no track measures its charge.
 
     Examples
     --------
@@ -364,7 +373,8 @@ def fit_vertices(
     rows = rows[np.argsort(tracks["event"][rows[:, 0]], kind="stable")]
     kinds = [HYPOTHESES[name] for name in particles]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)[rows]
-    good = np.all((tracks["status"] == 0)[rows], axis=1) & np.isfinite(parameters).all(axis=(1, 2))
+    fitted = np.isin(tracks["status"], (_core.FitStatus.ok, _core.FitStatus.unconstrained))
+    good = np.all(fitted[rows], axis=1) & np.isfinite(parameters).all(axis=(1, 2))
     good &= np.isfinite(tracks["cov"][rows]).all(axis=(1, 2, 3))
     impact = tracks["cov"][rows][..., [[0], [3]], [0, 3]]  # which has an inverse
     good &= ((np.linalg.det(np.where(np.isfinite(impact), impact, 0.0)) > 0) & (impact[..., 0, 0] > 0)).all(axis=1)
@@ -376,9 +386,16 @@ def fit_vertices(
     columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in found.items()}
     for name, value in found.items():
         columns[name][good] = np.where((status == 0).reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
+    unknown = np.any((tracks["status"] == _core.FitStatus.unconstrained)[rows], axis=1)
+    for name in _OF_MOMENTA:
+        columns[name][unknown] = np.nan
     ends = {"status": np.full(len(rows), int(VertexStatus.no_track)), "iterations": np.zeros(len(rows), np.int64)}
     ends["status"][good], ends["iterations"][good] = status, iterations
     return _table(tracks, rows, kinds, columns | ends, 1 if beam_spot is None else 4)
+
+
+#: Columns that need the momenta of both tracks.
+_OF_MOMENTA = ("px", "py", "pz", "mass", "err_mass")
 
 
 def _table(tracks: Table, rows: Rows, kinds: list[Species], columns: Mapping[str, npt.NDArray[Any]], ndf: int) -> Table:

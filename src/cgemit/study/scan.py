@@ -23,7 +23,7 @@ from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_gr
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import InTurn, check_numbers
 from cgemit.base.version import __version__
-from cgemit.chain.match import measuring
+from cgemit.chain.match import is_fitted
 from cgemit.chain.record import gun_data, record, write_record
 from cgemit.chain.settings import FinderLike, Settings, hits_text
 from cgemit.covariance.analytic import analytic
@@ -117,7 +117,7 @@ def difference(
     known, found, replicas = QUANTITIES[quantity], [], []
     for tracks in (sample.tracks, base.tracks):
         values, statistic = (known.residual(tracks), core_sigma) if kind == "sigma" else (known.error(tracks), median)
-        rows = measuring(tracks) & np.isfinite(values)
+        rows = known.counts(tracks) & np.isfinite(values)  # tracks of no particle have no residual
         values = values[rows]
         found.append(statistic(values))
         replicas.append(without_groups(values, tracks["event"][rows], statistic))
@@ -521,18 +521,28 @@ class Scan(ScanBase):
         return title, [*head, "decayed", "fitted", "left out"], rows
 
     def note(self) -> str:
-        """Return where hardly any track was fitted, and where the fit lost more than 5 % of them; empty if nowhere."""
+        """Return where hardly any track was fitted, and where the fit lost more than 5 % of them; empty if nowhere.
+
+        Tracks of status `unconstrained` are lost to the resolution of the momentum alone.
+        """
         few = hardly_fitted(self.samples)
         lines = [f"at {_momenta(few)} GeV/c: {why_unfitted(few)}"] if few else []
-        lost = [s for s in self.samples if _failed(s) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
-        if lost:
-            about = "over 5 % of the tracks are not fitted; the widths of the others may be too small"
-            lines.append(f"at {_momenta(lost)} GeV/c: {about}")
+        for about, count in (
+            ("over 5 % of the tracks are not fitted; the widths of the others may be too small", _failed),
+            ("over 5 % of the tracks do not measure their momentum (unconstrained)", _unconstrained),
+        ):
+            lost = [s for s in self.samples if count(s) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
+            if lost:
+                lines.append(f"at {_momenta(lost)} GeV/c: {about}")
         return "\n".join(lines)
 
 
 def _failed(sample: Sample) -> int:
-    return int(np.count_nonzero(sample.tracks["status"] != FitStatus.ok))
+    return len(sample.tracks) - int(np.count_nonzero(is_fitted(sample.tracks)))
+
+
+def _unconstrained(sample: Sample) -> int:
+    return int(np.count_nonzero(sample.tracks["status"] == FitStatus.unconstrained))
 
 
 def _momenta(samples: Sequence[Sample]) -> str:

@@ -16,6 +16,7 @@
 #include "common/angles.hpp"
 #include "common/problems.hpp"
 #include "detector/start_radius.hpp"
+#include "kalman/group.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
 
@@ -257,6 +258,23 @@ void bind_detector(py::module_& module) {
           "Set the matter that acts with each slab, from the variances of the parameters of one track and "
           "the "
           "parts of each slab's scatters in them.")
+      .def(
+          "in_field",
+          [](Detector detector, double bz) {
+            if (!(std::isfinite(bz) && bz != 0))
+              throw std::invalid_argument("bz: expected a finite number other than 0");
+            if (detector.field.is_uniform() || is_straight(detector.bz)) {
+              detector.field = uniform_field(bz);
+            } else {
+              for (double& one : detector.field.coefficients) one *= bz / detector.bz;
+              detector.field.bz = bz;
+            }
+            detector.bz = bz;
+            return detector;
+          },
+          py::arg("bz"),
+          "The detector in its own field scaled to bz at the origin, T; in a uniform one if that "
+          "is nearly 0.")
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
       .def(

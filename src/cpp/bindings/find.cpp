@@ -33,7 +33,8 @@ FindSettings find_settings(const py::dict& values) {
                               .max_seeds = in["max_seeds"],
                               .annealing = in["annealing"],
                               .least_width = in["least_width"],
-                              .delta_strips = in["delta_strips"]};
+                              .delta_strips = in["delta_strips"],
+                              .momentum = in["momentum"]};
   in.check();
   Problems problems;
   const Part part(problems, "settings");
@@ -46,6 +47,7 @@ FindSettings find_settings(const py::dict& values) {
   part.within("min_score", settings.min_score, -far, far);
   part.within("least_width", settings.least_width, 0, far);
   part.within("delta_strips", settings.delta_strips, 0, 1);
+  part.within("momentum", settings.momentum, 0, far);
   problems.raise("find_tracks");
   return settings;
 }

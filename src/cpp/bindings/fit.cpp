@@ -3,6 +3,7 @@
 #include <pybind11/pybind11.h>
 
 #include <algorithm>
+#include <cmath>
 
 #include "bindings/hits.hpp"
 #include "bindings/interrupt.hpp"
@@ -26,8 +27,11 @@ FitSettings fit_settings(const py::dict& values) {
                              .delta_strips = in["delta_strips"],
                              .kinks = in["kinks"],
                              .outlier_pull = in["outlier_pull"],
-                             .prior_sigma = in["prior_sigma"]};
+                             .prior_sigma = in["prior_sigma"],
+                             .momentum = in["momentum"]};
   in.check();
+  if (!(settings.momentum > 0 && settings.momentum < HUGE_VAL))
+    throw std::invalid_argument("settings: momentum: expected a finite number above 0");
   return settings;
 }
 
@@ -52,16 +56,18 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
   const StartRadii begins(detector, n, start_radii(start_radius, static_cast<py::ssize_t>(n)));
   residuals = residuals || states;
   const std::size_t slabs = detector.slabs.size();
+  const int free = is_straight(detector.bz) ? 4 : 5;  // parameters that the hits determine
   RowColumns<FitRow> of_track(n);
   of_track.add("helix", &FitRow::helix, {5})
       .add("cov", &FitRow::covariance, {5, 5})
       .add("chi2", &FitRow::chi2)
-      .add("ndf", [](const FitRow& row) { return row.clusters + row.wires - 5; })
+      .add("ndf", [free](const FitRow& row) { return row.clusters + row.wires - free; })
       .add("n_clusters", &FitRow::clusters)
       .add("n_wires", &FitRow::wires)
       .add("n_outliers", &FitRow::outliers)
       .add("iterations", &FitRow::iterations)
-      .add("status", &FitRow::status);
+      .add("status", &FitRow::status)
+      .add("matter_p", &FitRow::matter_p);
   RowColumns<HitRow> of_hit(residuals ? static_cast<std::size_t>(n_hits) : 0);
   of_hit.add("residual", &HitRow::residual)
       .add("err", &HitRow::error)

@@ -455,7 +455,7 @@ py::array_t<double> seeds(const Detector& detector, const Array<std::int64_t>& h
     const auto first = static_cast<std::size_t>(offsets[i]),
                count = static_cast<std::size_t>(offsets[i + 1]) - first;
     columns.take(first, count, hits);
-    const auto seed = seed_helix(detector, hits, side.subspan(first, count), from, mass[i]);
+    const auto seed = seed_helix(detector, hits, side.subspan(first, count), from, mass[i], 1.0);
     constexpr double none = std::numeric_limits<double>::quiet_NaN();
     const Perigee h = seed ? seed->helix : Perigee{none, none, none, none, none};
     for (const double value : {h.d, seed ? wrap_angle(h.psi - 0.5 * pi) : none, h.kappa, h.z0, h.tanl})

@@ -131,7 +131,8 @@ StateStatus LocalMotion::integrate(LocalState& state, const Move& move) const {
            point.y,
            point.z,
            {0, std::atan2(point.uy, point.ux), kappa, 0, point.tanl},
-           (j * state.c * j.transpose()).eval()};
+           (j * state.c * j.transpose()).eval(),
+           state.matter_p};
   return StateStatus::ok;
 }
 
@@ -141,13 +142,22 @@ bool cross(LocalState& state, const Slab& slab, double part, const PropagationCo
   const Dip<double> dip(h.tanl);
   const HelixPoint point = point_of(state, 0);
   const double path = part * path_factor(slab, dip.sec, std::abs(point.outward()));
-  const Kinematics here(dip.sec / std::abs(h.kappa), context.mass, projectile_of(context.mass, h.kappa));
+  const bool given = state.matter_p > 0;
+  const double momentum = given ? state.matter_p : dip.sec / std::abs(h.kappa);
+  const Kinematics here(momentum, context.mass, projectile_of(context.mass, h.kappa));
   const LossMoments loss = core_loss(slab, path, here, context.matter);
   if (outward && stops(here, loss)) return false;
   const SlabCrossing<double> crossing = outward ? cross_outward(slab, path, here, loss, context.matter)
                                                 : cross_inward(slab, path, here, context.matter);
   const double kappa = outward ? h.kappa : h.kappa * crossing.after.p / crossing.before.p;
-  const LossJacobian<double> by = crossing.jacobian(kappa, dip);
+  LossJacobian<double> by = crossing.jacobian(kappa, dip);
+  double kappa_in_matter = kappa;
+  if (given) {  // as in the reference trajectory
+    by.gain = by.ratio;
+    by.mixed = 0;
+    kappa_in_matter = std::copysign(dip.sec * crossing.before.per_p, kappa);
+    state.matter_p = outward ? crossing.after.p : crossing.before.p;
+  }
   Matrix5 j = Matrix5::Identity();
   j(2, 2) = by.gain;
   j(2, 4) = by.mixed;
@@ -157,7 +167,8 @@ bool cross(LocalState& state, const Slab& slab, double part, const PropagationCo
     state.c = (j * state.c * j.transpose()).eval();
   }
   if (noise)
-    state.c += covariance(slab, crossing.noise(slab, kappa, dip, context.motion.turning(point, kappa)));
+    state.c +=
+        covariance(slab, crossing.noise(slab, kappa_in_matter, dip, context.motion.turning(point, kappa)));
   if (outward) state.c = (j * state.c * j.transpose()).eval();
   h.kappa = outward ? h.kappa * by.ratio : kappa;
   return true;

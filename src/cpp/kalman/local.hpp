@@ -13,6 +13,9 @@ struct LocalState {
   double x, y, z;  // mm, the pivot
   Perigee helix;
   Matrix5 c;  // of (d, psi, kappa, z0, tanl)
+  // GeV/c, momentum here with which the track scatters and loses energy, where kappa does not measure it; 0:
+  // that of kappa.
+  double matter_p = 0;
 };
 
 // The point of the helix that is closest to its pivot. `per_kappa`: curvature for kappa = 1; 0 if the

@@ -29,17 +29,41 @@ struct NoObserver {
   void ends(const Motion&) {}
 };
 
+// The momentum at the origin with which a track scatters and loses energy. In the lanes `given` the curvature
+// does not measure it: kappa then bends the track, and nothing else.
+template <class T>
+struct MatterMomentum {
+  mask_of<T> given{false};
+  T p{1.0};  // GeV/c, of the lanes `given`
+
+  // Of a fitted kappa with its standard deviation. A kappa of more than `measured` of these is that of the
+  // momentum. Otherwise the momentum is the given one, or the nearest one that the curvature allows:
+  // scattering must not follow a curvature that is due to the residuals.
+  static MatterMomentum of_fit(const T& kappa, const T& sigma, const T& sec_lambda, double momentum) {
+    constexpr double measured = 10, allowed = 3;
+    const T own = abs(kappa);
+    const T in_matter = smaller(larger(sec_lambda / momentum, own - allowed * sigma), own + allowed * sigma);
+    return {!(own > measured * sigma), sec_lambda / in_matter};
+  }
+
+  T of(const T& kappa, const T& sec_lambda) const {
+    const T own = sec_lambda / abs(kappa);
+    return any(given) ? select(given, p, own) : own;
+  }
+};
+
 // The hot functions are flattened: they call small functions, and numbers should stay in registers.
 template <class T, class Motion = HelixMotion<T>, class Observer = NoObserver>
 class Tracer {
  public:
   Tracer(const Detector& detector, const PerigeeOf<T>& start, T mass, Projectile projectile, Group<T>& group,
-         Observer observer = {})
+         Observer observer = {}, const MatterMomentum<T>& matter = {})
       : detector_(detector),
         group_(group),
         motion_(detector, start),
         dip_(start.tanl),
-        now_(dip_.sec / abs(start.kappa), mass, projectile),
+        given_(matter.given),
+        now_(matter.of(start.kappa, dip_.sec), mass, projectile),
         track_(total_matter(detector, start.tanl)),
         observer_(observer) {
     set_cut(track_, now_);
@@ -297,7 +321,7 @@ class Tracer {
   void make_noise(const Slab& slab, const SlabCrossing<T>& crossing, Noise& noise) const {
     const Rows<T> r = motion_.rows();
     const typename Motion::Backward origin(motion_, r);
-    const LocalNoise<T> here = crossing.noise(slab, motion_.kappa(), dip_, motion_.point().w);
+    const LocalNoise<T> here = crossing.noise(slab, kappa_in_matter(), dip_, motion_.point().w);
     noise.turn = origin.turned(here.turn_psi);
     noise.dip = origin.changed(here.dip_kappa, here.dip_tanl);
     noise.straggling = origin.slowed(here.straggling_kappa);
@@ -328,8 +352,18 @@ class Tracer {
     take(noise.shift_along, other.shift_along);
   }
 
+  // The kappa of the momentum that matter acts on.
+  T kappa_in_matter() const {
+    const T kappa = motion_.kappa();
+    return any(given_) ? select(given_, copysign(dip_.sec * now_.per_p, kappa), kappa) : kappa;
+  }
+
   void lose(const SlabCrossing<T>& crossing, mask_of<T> crosses) {
-    const LossJacobian<T> j = crossing.jacobian(motion_.kappa(), dip_);
+    LossJacobian<T> j = crossing.jacobian(motion_.kappa(), dip_);
+    if (any(given_)) {  // the loss is that of the given momentum, whatever kappa and tanl
+      j.gain = select(given_, j.ratio, j.gain);
+      j.mixed = select(given_, T(0.0), j.mixed);
+    }
     if (all(crosses)) {
       motion_.lose(j.ratio, j.gain, j.mixed);
       now_ = crossing.after;
@@ -344,6 +378,7 @@ class Tracer {
   Group<T>& group_;
   Motion motion_;
   Dip<T> dip_;
+  mask_of<T> given_;
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   T reached_{0.0};                           // hits

@@ -54,7 +54,9 @@ class Recorder {
         {trajectory_->terms.size(), hit, slab, motion.point(), kappa_of(motion), jacobian});
   }
   // In a uniform field kappa follows from the curvature at a point, bit for bit.
-  double kappa_of(const HelixMotion<double>& motion) const { return motion.point().w / per_kappa_; }
+  double kappa_of(const HelixMotion<double>& motion) const {
+    return per_kappa_ == 0 ? motion.kappa() : motion.point().w / per_kappa_;
+  }
   static double kappa_of(const FieldReference<double>& motion) { return motion.kappa(); }
   template <class G>
   void add(const G& g, double has = 0) {
@@ -67,8 +69,8 @@ class Recorder {
 
 }  // namespace
 
-void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
-            std::span<const double> kinks, ReferenceTrajectory& trajectory) {
+void follow(const Detector& detector, const Perigee& start, double mass, double matter_p,
+            std::span<const Hit> hits, std::span<const double> kinks, ReferenceTrajectory& trajectory) {
   trajectory.terms.clear();
   trajectory.stations.clear();
   trajectory.predicted.assign(hits.size(), 0);
@@ -80,7 +82,7 @@ void follow(const Detector& detector, const Perigee& start, double mass, std::sp
   set_kinks(group, kinks);
   const auto run = [&]<class Motion>(std::type_identity<Motion>) {
     Tracer<double, Motion, Recorder>(detector, start, mass, projectile_of(mass, start.kappa), group,
-                                     Recorder(detector, trajectory))
+                                     Recorder(detector, trajectory), {matter_p > 0, matter_p})
         .run(true);
   };
   if (detector.field.is_uniform()) {

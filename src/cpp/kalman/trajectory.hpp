@@ -43,8 +43,9 @@ struct ReferenceTrajectory {
   std::vector<double> predicted;  // mm, one per hit: the predicted measurement
 };
 
-// Follows a helix through the matter up to the last hit. `kinks`: angles for every slab, or none.
-void follow(const Detector& detector, const Perigee& start, double mass, std::span<const Hit> hits,
-            std::span<const double> kinks, ReferenceTrajectory& trajectory);
+// Follows a helix through the matter up to the last hit. `kinks`: angles for every slab, or none. `matter_p`:
+// momentum in matter at the origin, GeV/c; 0: that of the helix.
+void follow(const Detector& detector, const Perigee& start, double mass, double matter_p,
+            std::span<const Hit> hits, std::span<const double> kinks, ReferenceTrajectory& trajectory);
 
 }  // namespace cgemit

@@ -166,7 +166,7 @@ def test_both_methods_side_by_side(line, points):
 
 
 def test_momenta_that_lose_over_5_percent_of_the_tracks_are_named(line, points):
-    removed = [{}, {"unconstrained": 3}, {"unconstrained": 3, "not_converged": 1}]  # of 60 tracks
+    removed = [{}, {"stopped": 3}, {"stopped": 3, "not_converged": 1}]  # of 60 tracks
     samples = [replace(one, removed=lost) for one, lost in zip(points.samples, removed, strict=True)]
     lossy = replace(points, orders=tuple(samples))
     note = "at 0.5 GeV/c: over 5 % of the tracks are not fitted; the widths of the others may be too small"

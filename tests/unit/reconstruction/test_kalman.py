@@ -40,6 +40,7 @@ def settings(**changes):
         "delta_strips": 0.0,
         "kinks": False,
         "outlier_pull": 0.0,
+        "momentum": 1.0,
     }
     return values | {"prior_sigma": tuple(PRIOR)} | changes
 

@@ -19,6 +19,7 @@ from cgemit.detector.channels import checked
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.fit import FitSettings, compiled_matter
+from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
 
 Method = Literal["combined", "segments", "chamber"]
@@ -69,6 +70,9 @@ class FindSettings(SettingsData):
         Most seeds that are followed in an event, of each source, the best first.
     annealing : bool
         Whether a wire hit near several tracks is assigned to the one that it fits best.
+    momentum : float or None
+        GeV/c, with which tracks scatter in fields below 20 mT, which do not tell their momenta (docs/methods/find.md).
+        None: that of the fit, or the gun's, in `run`, else 1 GeV/c.
 
     Raises
     ------
@@ -97,6 +101,7 @@ class FindSettings(SettingsData):
     min_score: Score = 2.0
     max_seeds: Count = 200
     annealing: bool = True
+    momentum: Positive | None = None
 
 
 Column = npt.NDArray[Any]
@@ -170,20 +175,27 @@ def find_tracks(
     points, number = _Points(points.row, place[points.x], place[points.v]), np.where(number < 0, -1, place[number])
     offsets = np.searchsorted(event[order], np.append(clusters.events, np.iinfo(np.int64).max)).astype(np.int64)
     hits = {name: np.ascontiguousarray(column[order]) for name, column in hits.items()}
+    core, weak = compiled_matter(detector, fit), abs(detector.field.bz) < _WEAK_FIELD
     found = _core.find_tracks(
-        compiled_matter(detector, fit), event_offsets=offsets, hits=hits, settings=_core_settings(settings, fit),
-        pairs=_pairs(detector, clusters, number, points),
+        core.in_field(math.copysign(_FIELD, detector.field.bz)) if weak else core, event_offsets=offsets, hits=hits,
+        settings=_core_settings(settings, fit, weak), pairs=_pairs(detector, clusters, number, points),
     )  # fmt: skip
     return _tables(found, clusters, view[order], hits["row"], points, settings)
 
 
-def _core_settings(settings: FindSettings, fit: FitSettings) -> dict[str, Any]:
+#: T. A weaker field does not tell the momentum of a track. The finder then scales it to the other one: the tracks are
+#: the same, with another kappa, and search and priors are those of a common field.
+_WEAK_FIELD, _FIELD = 0.02, 1.0
+
+
+def _core_settings(settings: FindSettings, fit: FitSettings, weak: bool) -> dict[str, Any]:
     """Return the fields of the core's settings."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
     method, hypothesis = values.pop("method"), values.pop("hypothesis")
     return values | {
         "segments": method in ("combined", "segments"), "chamber": method != "segments",
-        "mass": HYPOTHESES[hypothesis].mass, "least_width": fit.least_width, "delta_strips": fit.delta_strips,
+        "mass": HYPOTHESES[hypothesis].mass, "momentum": (settings.momentum or USUAL_MOMENTUM) if weak else 0.0,
+        "least_width": fit.least_width, "delta_strips": fit.delta_strips,
     }  # fmt: skip
 
 

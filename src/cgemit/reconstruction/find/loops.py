@@ -39,7 +39,7 @@ def link_loops(tracks: Table, bz: float) -> Rows:
     tracks : Table of kind "tracks"
         Tracks whose fit failed are not linked. Tracks with different mass hypotheses are not compared.
     bz : float
-        T, field at the origin, signed.
+        T, field at the origin, signed. Without one no track turns back, and none is linked.
 
     Returns
     -------
@@ -49,14 +49,16 @@ def link_loops(tracks: Table, bz: float) -> Rows:
     Raises
     ------
     ValueError
-        If the table is of another kind, or there is no field.
+        If the table is of another kind, or the field no finite number.
     """
     problems = table_problems(tracks=tracks)
-    if not np.isfinite(bz) or bz == 0:
-        problems.append(f"bz: got {bz}, expected a field in T, not 0")
+    if not np.isfinite(bz):
+        problems.append(f"bz: got {bz}, expected a field in T")
     if problems:
         raise ValueError("link_loops:\n  " + "\n  ".join(problems))
     first = np.arange(len(tracks))
+    if bz == 0:
+        return first
     good = np.flatnonzero(tracks["status"] == 0)
     one, other = _pairs(tracks, good)
     group = _groups(len(tracks), one, other, pair_chi2(tracks, one, other, bz))

@@ -23,7 +23,6 @@ from cgemit.analysis.resolutions import chi2_probability, resolution_against
 from cgemit.analysis.widths import Resolution
 from cgemit.base.files import HEARTBEAT
 from cgemit.base.isa import cores
-from cgemit.chain.match import measuring
 from cgemit.chain.result import Result
 from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
@@ -194,7 +193,9 @@ def _pulls(study: Reproduction, path: Path) -> Picture:
                 columns.setdefault(f"{what}_error", []).append(getattr(w, f"{what}_error"))
     write_csv(_table(path), columns)
     values = {
-        name: {QUANTITIES[p].symbol: sample.tracks[f"pull_{p}"][measuring(sample.tracks)] for p in PARAMETERS}
+        name: {
+            QUANTITIES[p].symbol: sample.tracks[f"pull_{p}"][QUANTITIES[p].counts(sample.tracks)] for p in PARAMETERS
+        }
         for name, sample in samples.items()
     }
     return curves.draw_pulls(values, texts)

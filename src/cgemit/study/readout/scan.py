@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 RADIUS = 2000.0
 """Of the anode, mm."""
-LEAST_FIELD = 1e-3  # T
 _SPREAD = 20.0  # mm, half-width of the beam at mid-gap
 _FEWEST = 50  # clusters with a line that have a width
 _BEFORE = 3.0  # mm, from the layer's inner face to where particles start
@@ -50,7 +49,7 @@ def beam_detector(bz: float = 0.0, **layer: Any) -> Detector:
     Parameters
     ----------
     bz : float
-        T; electrons are bent towards larger phi if it is positive. 0 stands for 1 mT, the least field of a detector.
+        T; electrons are bent towards larger phi if it is positive.
     **layer
         Keys of the layer that differ, such as ``drift_field="2 kV/cm"``.
     """
@@ -59,7 +58,7 @@ def beam_detector(bz: float = 0.0, **layer: Any) -> Detector:
         "base": "besiii-cgem-design",
         "name": f"beam {bz:g} T",
         "remove": ["cgem.L2", "cgem.L3", "beam_pipe", "walls", "drift_chamber"],
-        "field": {"kind": "uniform", "bz": f"{bz or LEAST_FIELD!r} T"},
+        "field": {"kind": "uniform", "bz": f"{bz!r} T"},
         "cgem": {"L1": own | layer},
     }
     return load(tables)

@@ -249,13 +249,12 @@ def _simulated(
     gun = Gun(evaluation.particle, p=p, cos_theta=cos_theta)
     seed = seed_of(evaluation.seed, number)
     tracks = run.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, workers=1).tracks
-    good = measuring(tracks)
-    event = tracks["event"][good]
-    point: dict[str, Any] = {"fitted": int(good.sum()), "events": evaluation.events}
+    point: dict[str, Any] = {"fitted": int(np.count_nonzero(measuring(tracks))), "events": evaluation.events}
     replicas: dict[str, list[float]] = {}
     for name in evaluation.quantities:
         known = QUANTITIES[name]
-        sample = known.residual(tracks)[good]
+        good = known.counts(tracks)
+        sample, event = known.residual(tracks)[good], tracks["event"][good]
         width = measure(sample)
         point[known.column()], point[known.column(end="_error")] = width.core, width.core_error
         replicas[name] = without_groups(sample, event, core_sigma).tolist()

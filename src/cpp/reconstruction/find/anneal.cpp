@@ -66,7 +66,7 @@ bool Annealing::trace(std::size_t number, const FoundTrack& track, const EventHi
   Path& path = *paths_[number];
   Group<double>& group = path.group;
   path.nearby.begin(hits, false, true);
-  trace_nearby(detector_, track.helix, settings_.mass, group, path.nearby);
+  trace_nearby(detector_, track.helix, settings_, group, path.nearby);
   std::int32_t kept = 0;
   std::size_t own = 0;
   path.weight.clear();

@@ -28,6 +28,7 @@ struct FindSettings {
   int max_seeds;           // per event and source
   bool annealing;          // of wire hits near several tracks
   double least_width, delta_strips;  // cluster errors, as in the fit
+  double momentum;  // GeV/c, with which all tracks scatter and lose energy; 0: that of their curvature
 };
 
 // Hits `offsets[i]` to `offsets[i + 1]` belong to event i.

@@ -108,7 +108,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   // may stop before its last hits.
   for (int time = 0; time < most_speed_ups; ++time) {
     nearby_.begin(*hits_, wide);
-    trace_nearby(detector_, reference_, settings_.mass, group_, nearby_);
+    trace_nearby(detector_, reference_, settings_, group_, nearby_);
     // A particle that stops behind its last hit may do so.
     if (!group_.stopped || meets_all(forced.empty() ? std::span<const std::int32_t>(last_found_) : forced))
       break;

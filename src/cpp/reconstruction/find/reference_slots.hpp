@@ -13,15 +13,19 @@
 
 namespace cgemit {
 
-inline void trace_nearby(const Detector& detector, const Perigee& start, double mass, Group<double>& group,
-                         NearbyHits& nearby) {
+inline void trace_nearby(const Detector& detector, const Perigee& start, const FindSettings& settings,
+                         Group<double>& group, NearbyHits& nearby) {
+  const double mass = settings.mass;
   const Projectile projectile = projectile_of(mass, start.kappa);
   const NearbyObserver observer(nearby);
+  const MatterMomentum<double> matter{settings.momentum > 0, settings.momentum};
   if (detector.field.is_uniform())
-    Tracer<double, HelixMotion<double>, NearbyObserver>(detector, start, mass, projectile, group, observer)
+    Tracer<double, HelixMotion<double>, NearbyObserver>(detector, start, mass, projectile, group, observer,
+                                                        matter)
         .run(true);
   else
-    Tracer<double, FieldReference<double>, NearbyObserver>(detector, start, mass, projectile, group, observer)
+    Tracer<double, FieldReference<double>, NearbyObserver>(detector, start, mass, projectile, group, observer,
+                                                           matter)
         .run(true);
 }
 

@@ -56,7 +56,7 @@ void SegmentScore::circle(const std::array<std::size_t, 3>& layers, const std::a
   x_ = x;
   s_ = s;
   d_ = d;
-  pt_ = 1 / std::max(std::abs(kappa), 1e-3);
+  pt_ = settings_.momentum > 0 ? settings_.momentum : 1 / std::max(std::abs(kappa), 1e-3);
   const double ab = s[1] - s[0], bc = s[2] - s[1], ac = s[2] - s[0];
   // The closest approach is a sum of the three points with these weights.
   const Three weight{s[1] * s[2] / (ab * ac), -s[0] * s[2] / (ab * bc), s[0] * s[1] / (ac * bc)};

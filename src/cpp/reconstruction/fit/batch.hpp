@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "kalman/builder.hpp"
@@ -108,7 +109,8 @@ class BatchFit {
     if (row.status == FitStatus::ok && row.outliers > row.clusters + row.wires)
       row.status = FitStatus::hits_left_out;
   }
-  // Particles that stop behind the first layers leave a few clusters: a helix with any momentum fits them. A
+  // Where the field is weak, or particles stop behind the first layers, a helix with any momentum fits the
+  // hits. A fitted kappa that is far from 0 by chance does not measure the momentum that matter was given. A
   // few wires of one stereo angle say little of z: the errors along z are then those of the filter's prior.
   void mark_unconstrained(FitRow& row) const {
     if (row.status != FitStatus::ok) return;
@@ -122,7 +124,9 @@ class BatchFit {
     const double kappa = row.helix[2], tanl = row.helix[4], slope = tanl / (1 + tanl * tanl);
     const double variance =
         cov(2, 2) / (kappa * kappa) - 2 * slope * cov(2, 4) / kappa + slope * slope * cov(4, 4);
-    const bool any_momentum = row.wires == 0 && !(variance < most * most);
+    const double in_matter = most * std::sqrt(1 + tanl * tanl) / row.matter_p;
+    const bool any_momentum =
+        !(variance < most * most) || (row.matter_p > 0 && !(cov(2, 2) < in_matter * in_matter));
     if (any_momentum || as_prior(3) || as_prior(4)) row.status = FitStatus::unconstrained;
   }
   // Each hit that is left out counts as one just at the outlier cut, or at 5 standard deviations without a
@@ -162,7 +166,8 @@ class BatchFit {
     std::vector<Start> starts;
     for (std::size_t track = 0; track < input_.tracks(); ++track) {
       if (out_.rows[track].status == FitStatus::too_few_hits || done(track)) continue;
-      const auto seed = seed_helix(detector_, hits(track), sides(track), from, input_.mass[track]);
+      const auto seed =
+          seed_helix(detector_, hits(track), sides(track), from, input_.mass[track], settings_.momentum);
       if (seed) starts.push_back({track, key(track), *seed});
     }
     return starts;

@@ -24,6 +24,7 @@ struct FitSettings {
   bool kinks;              // whether the reference of a slow track gets kinks from its hits
   double outlier_pull;     // a hit with a larger pull to the rest of the track is left out; 0: no outliers
   std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: the weak prior of the filter
+  double momentum;                    // GeV/c, assumed in matter where the curvature does not measure it
 };
 
 // Tracks to fit, one after the other. Hits of a track are ordered outward; `side` per hit: +1 or -1 known, 0
@@ -49,6 +50,7 @@ struct FitRow {
   double chi2;
   std::int32_t clusters, wires, iterations, outliers;
   FitStatus status;
+  double matter_p;  // GeV/c at the origin, with which the track scatters and loses energy; 0: that of kappa
 };
 
 // One row per hit, compared with the track fitted without it.

@@ -24,6 +24,7 @@ class GroupFit {
   void run(const PerigeeOf<T>& start, T spread, T mass, Projectile projectile, std::span<const FitLane> lanes,
            bool wires_first, bool kinks) {
     helix_ = start;
+    matter_ = {};
     spread_ = spread;
     passed_ = T(0.0);
     lanes_ = lanes;
@@ -65,6 +66,8 @@ class GroupFit {
   static constexpr double near_bend = 0.01;     // mm, neglected in a residual
   static constexpr double near_momentum = 0.1;  // relative
   static constexpr double near_sigmas = 100;
+  // A first helix does not measure the momentum so close to a straight line (mm), in fields (T) below this.
+  static constexpr double least_sagitta = 1, weak_field = 0.2;
 
   // The results of one iteration.
   struct Iteration {
@@ -116,7 +119,7 @@ class GroupFit {
     if (!any(works)) return;
     // After radiation, electrons are far from any first helix.
     if (iteration_ == 0 && projectile < Projectile::electron)
-      first_guess(group_, helix_, mass, spread_, works, settings_.outlier_pull > 0);
+      first_guess(group_, scattering_helix(), mass, spread_, works, settings_.outlier_pull > 0);
     if (settings_.outlier_pull > 0) keep_enough(group_, works);
     fill_slots(group_, detector_, settings_, wires_only_);
   }
@@ -215,11 +218,47 @@ class GroupFit {
   // the field at the origin for the field everywhere: a fifth of the time of a map.
   void trace(T mass, Projectile projectile, mask_of<T> kept, bool roughly) {
     const mask_of<T> who = active_ & !kept;
+    choose_momentum(who);
     if (detector_.field.is_uniform() || roughly) {
-      Tracer<T>(detector_, helix_, mass, projectile, group_).run(who, kept);
+      Tracer<T>(detector_, helix_, mass, projectile, group_, {}, matter_).run(who, kept);
     } else {
-      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_).run(who, kept);
+      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_, {}, matter_).run(who, kept);
     }
+  }
+
+  // Chooses the momentum in matter of the lanes `who`. A first helix that is close to a straight line in a
+  // weak field does not measure it.
+  void choose_momentum(mask_of<T> who) {
+    const T sec_lambda = sqrt(1.0 + helix_.tanl * helix_.tanl);
+    MatterMomentum<T> now{mask_of<T>(false), T(settings_.momentum)};
+    if (iteration_ > 0) {
+      now = MatterMomentum<T>::of_fit(helix_.kappa, sqrt(variance_[2]), sec_lambda, settings_.momentum);
+    } else if (std::abs(detector_.bz) < weak_field) {
+      const T last = last_radius(), w = curvature(detector_.bz, helix_.kappa);
+      now.given = !(0.125 * abs(w) * last * last > least_sagitta);
+    }
+    matter_.given = (now.given & who) | (matter_.given & !who);
+    matter_.p = select(who, now.p, matter_.p);
+  }
+
+  // The helix with the kappa of the momentum in matter.
+  PerigeeOf<T> scattering_helix() const {
+    PerigeeOf<T> helix = helix_;
+    if (any(matter_.given))
+      helix.kappa = select(matter_.given, sqrt(1.0 + helix.tanl * helix.tanl) / matter_.p, helix.kappa);
+    return helix;
+  }
+
+  // Radius of the outermost hit.
+  T last_radius() const {
+    T last(0.0);
+    for (const Slot<T>& slot : group_.slots) {
+      const T radius = slot.view == View::wire
+                           ? sqrt(slot.wire.x * slot.wire.x + slot.wire.y * slot.wire.y)
+                           : T(detector_.layers[static_cast<std::size_t>(slot.layer)].r_mid());
+      last = larger(last, select(slot.there, radius, T(0.0)));
+    }
+    return last;
   }
 
   // The covariance of the filter's prior. Rounding error grows with the ratio of prior to posterior, so after
@@ -242,6 +281,7 @@ class GroupFit {
   // from the mean field that bends the track up to its last hit. The weights are those of the curvature of a
   // parabola through evenly spaced hits, from an eighth of the way on.
   void take_mean_field() {
+    if (is_straight(detector_.bz)) return;
     T last(0.0);
     for (const Slot<T>& slot : group_.slots) {
       const T radius = slot.view == View::wire
@@ -279,8 +319,9 @@ class GroupFit {
     const mask_of<T> stopped = active_ & group_.stopped;
     if (iteration_ > patient_iterations || last) return finish(stopped, FitStatus::stopped);
     if (iteration_ < patient_iterations)
-      helix_.kappa = select(
-          stopped, select(passed_ != 0.0, 0.5 * (passed_ + helix_.kappa), 0.85 * helix_.kappa), helix_.kappa);
+      helix_.kappa =
+          select(stopped & !matter_.given,
+                 select(passed_ != 0.0, 0.5 * (passed_ + helix_.kappa), 0.85 * helix_.kappa), helix_.kappa);
     return stopped;
   }
 
@@ -313,7 +354,9 @@ class GroupFit {
   // The new reference. A step that would change the curvature by more than half of it is shortened.
   void move(const Five<T>& x, mask_of<T> who) {
     const T limit = larger(0.5 * abs(helix_.kappa), 0.2);
-    const T fraction = select(who, smaller(T(1.0), limit / larger(abs(x[2]), 1e-12)), T(0.0));
+    // Where matter acts with a given momentum, nothing but the curvature depends on kappa.
+    const T most = any(matter_.given) ? select(matter_.given, T(HUGE_VAL), limit) : limit;
+    const T fraction = select(who, smaller(T(1.0), most / larger(abs(x[2]), 1e-12)), T(0.0));
     moved_ = moved_ + fraction * x;
     const auto step = [&](T& parameter, T by) {
       parameter = select(who, parameter + fraction * by, parameter);
@@ -323,6 +366,10 @@ class GroupFit {
     step(helix_.kappa, x[2]);
     step(helix_.z0, x[3]);
     step(helix_.tanl, x[4]);
+    if (is_straight(detector_.bz)) {
+      const T kappa = sqrt(1.0 + helix_.tanl * helix_.tanl) / settings_.momentum;
+      helix_.kappa = select(who, copysign(kappa, helix_.kappa), helix_.kappa);
+    }
     helix_.kappa = select(helix_.kappa == 0.0, T(1e-9), helix_.kappa);
     const T turns = nearest(helix_.psi * (0.5 / pi));
     helix_.psi = helix_.psi - turns * (2 * pi);
@@ -335,6 +382,7 @@ class GroupFit {
       if (!lane(who, i)) continue;
       write_helix(*lanes_[k].rows, helix_, i, iteration_ + 1);
       write_state(*lanes_[k].rows, state, i, status);
+      lanes_[k].rows->matter_p = lane(matter_.given, i) ? lane(matter_.p, i) : 0;
       if (lanes_[k].last != nullptr)
         write_reference(lanes_[k], reference_, group_, i, detector_.slabs.size());
     }
@@ -346,6 +394,7 @@ class GroupFit {
   Group<T>& group_;
   Interrupted interrupted_;
   PerigeeOf<T> helix_;            // linearisation point of the next iteration
+  MatterMomentum<T> matter_;      // of the last trace
   LinearisedAbout<T> reference_;  // linearisation point of this iteration
   Five<T> variance_;              // of the previous iteration
   Five<T> noise_;                 // variances that all matter adds

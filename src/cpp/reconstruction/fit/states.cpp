@@ -16,7 +16,7 @@ class States {
         inward_(space.inward),
         smoothed_(space.smoothed),
         context_{track.mass, total_matter(detector, track.reference.tanl), LocalMotion(detector)} {
-    follow(detector, track.reference, track.mass, track.hits, track.kinks, trajectory_);
+    follow(detector, track.reference, track.mass, track.matter_p, track.hits, track.kinks, trajectory_);
     for (const Station& station : trajectory_.stations) {
       if (station.hit < 0) continue;
       const auto i = static_cast<std::size_t>(station.hit);
@@ -70,19 +70,25 @@ class States {
     const HelixPoint& p = station.point;
     const Perigee helix{moved[0], std::atan2(p.uy, p.ux) + moved[1], station.kappa + moved[2], moved[3],
                         p.tanl + moved[4]};
-    return {p.x, p.y, p.z, helix, station.jacobian * estimate.c * station.jacobian.transpose()};
+    // On the reference kappa grows as the momentum in matter falls.
+    const double matter_p = track_.matter_p * std::abs(track_.reference.kappa / station.kappa);
+    return {p.x, p.y, p.z, helix, station.jacobian * estimate.c * station.jacobian.transpose(), matter_p};
   }
 
   TrackState closest(bool moves_pivot) const {
     const OriginState& estimate = smoothed_.front();
     const Perigee& r = track_.reference;
     const Vector5& x = estimate.x;
-    TrackState found{
-        StateStatus::ok,
-        -1,
-        {0, 0, 0, {r.d + x[0], r.psi + x[1], r.kappa + x[2], r.z0 + x[3], r.tanl + x[4]}, estimate.c},
-        0,
-        0};
+    TrackState found{StateStatus::ok,
+                     -1,
+                     {0,
+                      0,
+                      0,
+                      {r.d + x[0], r.psi + x[1], r.kappa + x[2], r.z0 + x[3], r.tanl + x[4]},
+                      estimate.c,
+                      track_.matter_p},
+                     0,
+                     0};
     if (moves_pivot) found.status = context_.motion.to_track(found.state);
     return found;
   }

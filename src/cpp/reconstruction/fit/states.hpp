@@ -42,6 +42,7 @@ struct FittedTrack {
   std::span<const double> kinks;  // of the helix, two angles for every slab
   Matrix5 prior;                  // of the filter
   double mass;
+  double matter_p;  // GeV/c, momentum in matter at the origin; 0: that of the helix
 };
 
 // Work space of a thread.

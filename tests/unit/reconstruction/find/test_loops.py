@@ -143,10 +143,15 @@ def test_the_command_links(capsys):
 
 
 def test_wrong_input_is_refused():
-    with pytest.raises(ValueError, match=r"bz: got 0.*expected a field"):
-        loops.link_loops(table(half_turns(ONE, 2)), 0.0)
+    with pytest.raises(ValueError, match=r"bz: got nan.*expected a field"):
+        loops.link_loops(table(half_turns(ONE, 2)), float("nan"))
     with pytest.raises(ValueError, match="expected a table of kind 'tracks'"):
         loops.link_loops(Table.empty("candidates", 1), BZ)
     with pytest.raises(ValueError, match="expected a run with until='fit'"):
         cg.study.loop_links(cg.run("besiii-cgem", cg.Gun("mu-", p=0.5, cos_theta=0.1), n=1, until="find"))
     assert loops.link_loops(make_tracks(0), BZ).tolist() == []
+
+
+def test_without_a_field_no_track_turns_back():
+    assert loops.link_loops(table(half_turns(ONE, 2)), BZ).tolist() == [0, 0]
+    assert loops.link_loops(table(half_turns(ONE, 2)), 0.0).tolist() == [0, 1]
