@@ -282,7 +282,7 @@ void bind_states(py::module_& module) {
       "matter_momenta", &matter_momenta, py::kw_only(), py::arg("kappa"), py::arg("sigma"), py::arg("tanl"),
       py::arg("momentum"),
       "Momenta, GeV/c, with which tracks scatter and lose energy whose fitted kappa has an error `sigma`: "
-      "0 where kappa measures it, else the given one or the nearest that kappa allows.");
+      "0 where kappa measures it, else the given one or a larger one if kappa excludes it.");
   module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
              py::arg("bz"),
              "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");

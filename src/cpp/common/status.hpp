@@ -26,8 +26,8 @@ enum class FitStatus : std::int8_t {
   not_converged = 5,          // still moving after the last allowed iteration
   not_positive_definite = 6,  // the covariance is not a valid covariance of real parameters
   left_field = 7,             // the reference leaves the field map before the last hit
-  // no wire hit is used, and the error of the momentum exceeds half of it; or the error of d_z or tan(lambda)
-  // exceeds half of that of the filter's prior
+  // the error of the momentum exceeds half of it, or of the one given in matter; or the error of d_z or
+  // tan(lambda) exceeds half of that of the filter's prior
   unconstrained = 8,
   hits_left_out = 9  // more hits are left out than used
 };

@@ -37,13 +37,12 @@ struct MatterMomentum {
   T p{1.0};  // GeV/c, of the lanes `given`
 
   // Of a fitted kappa with its standard deviation. A kappa of more than `measured` of these is that of the
-  // momentum. Otherwise the momentum is the given one, or the nearest one that the curvature allows:
+  // momentum. Otherwise the momentum is the given one, or a larger one if the curvature excludes that one:
   // scattering must not follow a curvature that is due to the residuals.
   static MatterMomentum of_fit(const T& kappa, const T& sigma, const T& sec_lambda, double momentum) {
     constexpr double measured = 10, allowed = 3;
     const T own = abs(kappa);
-    const T in_matter = smaller(larger(sec_lambda / momentum, own - allowed * sigma), own + allowed * sigma);
-    return {!(own > measured * sigma), sec_lambda / in_matter};
+    return {!(own > measured * sigma), sec_lambda / smaller(sec_lambda / momentum, own + allowed * sigma)};
   }
 
   T of(const T& kappa, const T& sec_lambda) const {

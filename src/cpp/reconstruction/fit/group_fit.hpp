@@ -25,6 +25,7 @@ class GroupFit {
            bool wires_first, bool kinks) {
     helix_ = start;
     matter_ = {};
+    measured_ = mask_of<T>(false);
     spread_ = spread;
     passed_ = T(0.0);
     lanes_ = lanes;
@@ -227,12 +228,15 @@ class GroupFit {
   }
 
   // Chooses the momentum in matter of the lanes `who`. A first helix that is close to a straight line in a
-  // weak field does not measure it.
+  // weak field does not measure it. Once a fitted kappa does, it stays so: with its own momentum a slow track
+  // scatters more, and would return to the given one.
   void choose_momentum(mask_of<T> who) {
     const T sec_lambda = sqrt(1.0 + helix_.tanl * helix_.tanl);
     MatterMomentum<T> now{mask_of<T>(false), T(settings_.momentum)};
     if (iteration_ > 0) {
       now = MatterMomentum<T>::of_fit(helix_.kappa, sqrt(variance_[2]), sec_lambda, settings_.momentum);
+      now.given = now.given & !measured_;
+      measured_ = measured_ | (who & !now.given);
     } else if (std::abs(detector_.bz) < weak_field) {
       const T last = last_radius(), w = curvature(detector_.bz, helix_.kappa);
       now.given = !(0.125 * abs(w) * last * last > least_sagitta);
@@ -395,6 +399,7 @@ class GroupFit {
   Interrupted interrupted_;
   PerigeeOf<T> helix_;            // linearisation point of the next iteration
   MatterMomentum<T> matter_;      // of the last trace
+  mask_of<T> measured_;           // lanes whose fitted kappa has measured the momentum
   LinearisedAbout<T> reference_;  // linearisation point of this iteration
   Five<T> variance_;              // of the previous iteration
   Five<T> noise_;                 // variances that all matter adds
