@@ -112,7 +112,7 @@ class Quantity:
         status = np.asarray(tracks["status"])
         ok, weak = status == FitStatus.ok, status == FitStatus.unconstrained
         if self.is_momentum or not weak.any():
-            return ok
+            return np.asarray(ok)
         along = {"dz": ("dz",), "tanl": ("tanl",), "theta": ("tanl",)}.get(self.name, ())
         for name in along:
             weak = weak & (np.asarray(tracks[f"err_{name}"]) < _OF_PRIOR[name])

@@ -527,7 +527,7 @@ class _Fits(NamedTuple):
         good = np.isin(tracks["status"], (_core.FitStatus.ok, _core.FitStatus.unconstrained))
         return cls(
             at=at, gradient=np.bincount(track, slope * residual / err**2, len(tracks)).astype(np.float64),
-            info=np.bincount(track, (slope / err) ** 2, len(tracks)) * good,
+            info=np.where(good, np.bincount(track, (slope / err) ** 2, len(tracks)), 0.0),
             chi2=np.where(good, tracks["chi2"], 0.0), ndf=tracks["ndf"].astype(np.float64),
             helix=np.column_stack([tracks[name] for name in helix.PARAMETERS]),
         )  # fmt: skip

@@ -161,7 +161,7 @@ def extrapolate(
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
     in_matter = _core.matter_momenta(
         kappa=table["kappa"], sigma=np.sqrt(table["cov"][:, 2, 2]), tanl=table["tanl"],
-        momentum=momentum or float(table.meta.get("momentum", USUAL_MOMENTUM)),
+        momentum=momentum or float(table.meta.get("momentum", USUAL_MOMENTUM)), bz=detector.field.bz,
     )  # fmt: skip
     out = _core.extrapolate(
         compiled(detector, screening=screening, loss=loss, radiation=bool(radiation)), pivot=pivot, helix=parameters,

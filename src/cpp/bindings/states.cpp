@@ -225,7 +225,7 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
 }
 
 py::array_t<double> matter_momenta(const Array<double>& kappa_array, const Array<double>& sigma_array,
-                                   const Array<double>& tanl_array, double momentum) {
+                                   const Array<double>& tanl_array, double momentum, double bz) {
   const auto kappa = column(kappa_array, "kappa");
   const auto n = static_cast<py::ssize_t>(kappa.size());
   const auto sigma = column(sigma_array, "sigma", n), tanl = column(tanl_array, "tanl", n);
@@ -234,7 +234,7 @@ py::array_t<double> matter_momenta(const Array<double>& kappa_array, const Array
   std::vector<double> found;
   for (std::size_t i = 0; i < kappa.size(); ++i) {
     const double sec_lambda = std::sqrt(1 + tanl[i] * tanl[i]);
-    const auto matter = MatterMomentum<double>::of_fit(kappa[i], sigma[i], sec_lambda, momentum);
+    const auto matter = MatterMomentum<double>::of_fit(kappa[i], sigma[i], sec_lambda, momentum, bz);
     found.push_back(matter.given && std::isfinite(matter.p) ? matter.p : 0);
   }
   return to_numpy(std::move(found));
@@ -280,9 +280,10 @@ void bind_states(py::module_& module) {
              py::arg("target_share"), "Move states to a cylinder through the matter on the trajectory.");
   module.def(
       "matter_momenta", &matter_momenta, py::kw_only(), py::arg("kappa"), py::arg("sigma"), py::arg("tanl"),
-      py::arg("momentum"),
-      "Momenta, GeV/c, with which tracks scatter and lose energy whose fitted kappa has an error `sigma`: "
-      "0 where kappa measures it, else the given one or a larger one if kappa excludes it.");
+      py::arg("momentum"), py::arg("bz"),
+      "Momenta, GeV/c, with which tracks scatter and lose energy whose fitted kappa has an error `sigma` "
+      "in a field of bz: 0 where kappa measures it, else the given one, or a larger one if kappa "
+      "excludes it.");
   module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
              py::arg("bz"),
              "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");

@@ -36,11 +36,18 @@ struct MatterMomentum {
   mask_of<T> given{false};
   T p{1.0};  // GeV/c, of the lanes `given`
 
-  // Of a fitted kappa with its standard deviation. A kappa of more than `measured` of these is that of the
-  // momentum. Otherwise the momentum is the given one, or a larger one if the curvature excludes that one:
-  // scattering must not follow a curvature that is due to the residuals.
-  static MatterMomentum of_fit(const T& kappa, const T& sigma, const T& sec_lambda, double momentum) {
-    constexpr double measured = 10, allowed = 3;
+  // Below this field, T, nearly all tracks may be as good as straight.
+  static constexpr double weak_field = 0.2;
+
+  // Of a fitted kappa with its standard deviation, in a field of bz (T) at the origin. A kappa of enough of
+  // these is that of the momentum: of 10 in a weak field; of 2 in others, where tracks whose momentum is
+  // known worse are stubs of slow particles, not of the given momentum. Otherwise the momentum is the given
+  // one, or a larger one if the curvature excludes that one: scattering must not follow a curvature that is
+  // due to the residuals.
+  static MatterMomentum of_fit(const T& kappa, const T& sigma, const T& sec_lambda, double momentum,
+                               double bz) {
+    constexpr double allowed = 3;
+    const double measured = std::abs(bz) < weak_field ? 10 : 2;
     const T own = abs(kappa);
     return {!(own > measured * sigma), sec_lambda / smaller(sec_lambda / momentum, own + allowed * sigma)};
   }

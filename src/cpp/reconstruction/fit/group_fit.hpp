@@ -67,8 +67,8 @@ class GroupFit {
   static constexpr double near_bend = 0.01;     // mm, neglected in a residual
   static constexpr double near_momentum = 0.1;  // relative
   static constexpr double near_sigmas = 100;
-  // A first helix does not measure the momentum so close to a straight line (mm), in fields (T) below this.
-  static constexpr double least_sagitta = 1, weak_field = 0.2;
+  // mm; in a weak field a first helix so close to a straight line does not measure the momentum.
+  static constexpr double least_sagitta = 1;
 
   // The results of one iteration.
   struct Iteration {
@@ -234,10 +234,11 @@ class GroupFit {
     const T sec_lambda = sqrt(1.0 + helix_.tanl * helix_.tanl);
     MatterMomentum<T> now{mask_of<T>(false), T(settings_.momentum)};
     if (iteration_ > 0) {
-      now = MatterMomentum<T>::of_fit(helix_.kappa, sqrt(variance_[2]), sec_lambda, settings_.momentum);
+      now = MatterMomentum<T>::of_fit(helix_.kappa, sqrt(variance_[2]), sec_lambda, settings_.momentum,
+                                      detector_.bz);
       now.given = now.given & !measured_;
       measured_ = measured_ | (who & !now.given);
-    } else if (std::abs(detector_.bz) < weak_field) {
+    } else if (std::abs(detector_.bz) < MatterMomentum<T>::weak_field) {
       const T last = last_radius(), w = curvature(detector_.bz, helix_.kappa);
       now.given = !(0.125 * abs(w) * last * last > least_sagitta);
     }
