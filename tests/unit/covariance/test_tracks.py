@@ -359,7 +359,8 @@ def test_errors_scale_with_the_measurements() -> None:
     thin = CHAMBER.with_overrides({"field.bz": "-1 T"})
     one = cg.analytic(thin, "mu-", 1e3, 0.1, phi=0.2, reveal_sides=True)
     two = cg.analytic(thin.with_overrides({"drift_chamber.sigma": "x2"}), "mu-", 1e3, 0.1, phi=0.2, reveal_sides=True)
-    np.testing.assert_allclose(two.sigma("p") / one.sigma("p"), 2, rtol=1e-3)
+    assert one.status == cg.FitStatus.unconstrained  # 1 TeV/c: kappa has an error, but the momentum is not measured
+    np.testing.assert_allclose(np.sqrt(two.cov[2, 2] / one.cov[2, 2]), 2, rtol=1e-3)
 
 
 def test_quantities_follow_from_the_covariance() -> None:
@@ -551,7 +552,7 @@ def test_derivative_by_an_error_is_its_share_of_the_budget() -> None:
 
 def test_the_field_scales_the_momentum_resolution() -> None:
     """At high momentum, where only measurements count, sigma(p) falls like 1/B."""
-    found = cg.sensitivity(CHAMBER, "mu-", 200.0, 0.0, keys=["field.bz"], quantities=("p",), phi=0.1, reveal_sides=True)
+    found = cg.sensitivity(CHAMBER, "mu-", 50.0, 0.0, keys=["field.bz"], quantities=("p",), phi=0.1, reveal_sides=True)
     assert float(found.of("field.bz", "p")) == pytest.approx(-1, abs=0.01)
     # Scattering does, too; and where the side of a wire is hidden, tracks keep their distances from wires.
     found = cg.sensitivity(DESIGN, "mu-", 1.0, 0.0, keys=["field.bz"], quantities=("p",))

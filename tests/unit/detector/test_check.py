@@ -128,7 +128,7 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
          "an error of -0.0180137 mm at 12.3 mm"),  # in an outer corner, not at 8.8 mm
         ({"cgem": {"L1": {"gas": "Kapton"}}}, "cgem.L1.gas", '"Kapton", which is no gas'),
         ({"drift_chamber": {"gas": "Al"}}, "drift_chamber.gas", '"Al", which is no gas'),
-        ({"field": {"bz": "0 T"}}, "field.bz", "0 T"),
+        ({"field": {"bz": "11 T"}}, "field.bz", "11 T"),
         ({"field": {"kind": "dipole"}}, "field.kind", "dipole"),
         ({"name": 3}, "name", "3"),
         ({"name": ""}, "name", '""'),
