@@ -82,9 +82,10 @@ class ExpectedCharge {
     stride_ = static_cast<std::size_t>(std::ceil(apart / sigma * steps_of_width));
     step_ = stride_ > 0 ? apart / static_cast<double>(stride_) : sigma / steps_of_width;
     const double reach = 0.5 * length + beyond * sigma;
-    low_ = strips.middles.front() - 0.5 * strips.pitch - reach;
-    const double high = strips.middles.back() + 0.5 * strips.pitch + reach;
-    steps_ = static_cast<std::size_t>(std::ceil((high - low_) / step_));
+    const double middle = 0.5 * (strips.middles.front() + strips.middles.back());
+    const double range = strips.middles.back() - strips.middles.front() + strips.pitch + 2 * reach;
+    steps_ = static_cast<std::size_t>(std::ceil(range / step_));
+    low_ = middle - 0.5 * static_cast<double>(steps_) * step_;  // so that both edges of a sheet are alike
     half_ = 0.5 * static_cast<double>((nodes_ - 1) * stride_) * step_;
     const std::size_t n = steps_ + 1 + (nodes_ - 1) * stride_;
     parts_.reserve(n);
