@@ -34,8 +34,8 @@ struct MatchInput {
 
 struct MatchOutput {
   // Of each candidate: row of its particle, hits of it without those of its daughters, all hits, those of
-  // the particle's first half turn, of its daughters, and of its other half turns. An XV cluster counts as two
-  // hits.
+  // the particle's first half turn, of its daughters, and of its other half turns. An XV cluster counts as
+  // two hits.
   std::vector<std::int64_t> particle, own, hits, found, of_daughters, of_loops;
   std::vector<std::int8_t> half_turn;  // that most of its particle's own hits are of; 0 without any
   // Measurements of the particle's first half turn in each candidate: crossings of a gap, counted per view
