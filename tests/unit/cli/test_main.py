@@ -240,7 +240,7 @@ INTERRUPTED = {
         "--keep",
         "all",
     ],
-    "finder": ["find", *RESOLUTION[1:3], "--p", "1", "--tracks", "8", "-n", "3000"],
+    "finder": ["find", *RESOLUTION[1:3], "--p", "1", "--cos-theta", "0:0.9", "--tracks", "8", "-n", "20000"],
     "readout": ["readout", "--readout", "tiger", "-n", "100000"],
     "sweep": ["sweep", "plan.toml"],
     "processes": ["sweep", "plan.toml", "--processes", "2"],
@@ -251,13 +251,20 @@ base = "besiii-cgem-design"
 "cgem.*.pitch_x" = ["400 um", "500 um", "600 um", "700 um"]
 [evaluate]
 method = "mc"
-events = 3000000
+events = 100000
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", INTERRUPTED)
-@pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT,) * 3, (signal.SIGTERM, signal.SIGINT)])
+@pytest.mark.parametrize(
+    ("name", "signals"),
+    [
+        *((name, (signal.SIGINT,) * 3) for name in INTERRUPTED),
+        ("fit", (signal.SIGINT,)),
+        ("processes", (signal.SIGINT,)),
+        ("simulation", (signal.SIGTERM, signal.SIGINT)),
+    ],
+)
 def test_an_interrupted_command_ends_with_130_whatever_it_was_at(name, signals, tmp_path):
     """The first Ctrl-C is enough, also for a fit that never ends; further ones change nothing, and no C++ aborts."""
     (tmp_path / "plan.toml").write_text(PLAN)
