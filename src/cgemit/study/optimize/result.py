@@ -373,7 +373,17 @@ class Optimization(TidyResult):
     def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
         """Write optimize.csv, detector.toml (the base), optimum.toml (of one objective) and summary.json to a folder.
 
-        As `cgemit.study.sweep.result.Sweep.write`, with results of an optimization.
+        Parameters
+        ----------
+        folder : path
+            One that is empty or missing, or holds results of the same optimization, which are replaced.
+        overwrite : bool
+            Whether to replace all results that the folder holds.
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds other files, or such that were changed after they were written.
         """
         keep_folder(folder, WORK, self.plan, overwrite=overwrite)
         detectors = {"optimum.toml": self.detector()} if len(self.objectives) == 1 and self.front else {}
