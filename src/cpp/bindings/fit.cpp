@@ -99,7 +99,10 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
       measured_rows.resize(states ? count : 0);
       kink_rows.resize(states ? tracks * slabs : 0);
       const FitInput input{
-          offsets.subspan(begin, tracks + 1), hits, side.subspan(first, count), mass.subspan(begin, tracks),
+          offsets.subspan(begin, tracks + 1),
+          hits,
+          side.subspan(first, count),
+          mass.subspan(begin, tracks),
           seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>(),
           interrupted};
       fit(begins.of(begin), input, settings,

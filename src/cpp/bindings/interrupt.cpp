@@ -43,8 +43,8 @@ bool look_for_signals() {
 
 bool interrupted() {
   if (self.told) return true;
-  self.told = stops.load(std::memory_order_relaxed) > 0 ||
-              (++self.calls % calls_per_look == 0 && look_for_signals());
+  self.told =
+      stops.load(std::memory_order_relaxed) > 0 || (++self.calls % calls_per_look == 0 && look_for_signals());
   return self.told;
 }
 

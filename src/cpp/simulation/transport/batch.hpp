@@ -338,8 +338,7 @@ template <class T, template <class> class MotionOf>
 void simulate_in(const Detector& detector, const ParticleColumns& particles, const SimulateSettings& settings,
                  std::uint64_t seed, Simulated& out) {
   Batch<T, MotionOf> batch(detector, particles, settings, seed, out);
-  for (std::size_t row = 0; row < particles.event.size() && !settings.interrupted();)
-    row = batch.run(row);
+  for (std::size_t row = 0; row < particles.event.size() && !settings.interrupted();) row = batch.run(row);
 }
 
 // Reserves memory for this many particles.
