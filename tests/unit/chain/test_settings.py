@@ -36,10 +36,14 @@ STAGE_TABLES = (
 SIMULATED = ("decays", "steps", "truths", "wire_truths")
 DIGIS, HITS, CLUSTERS, FOUND, FITTED = ("digis",), ("wire_hits",), ("clusters",), ("candidate_hits",), ("tracks",)
 BUSY, FITTED_START = {"background.cells": 0.15}, {"refine.start_time": "fitted"}
+WITHOUT_FIELD = {"field.bz": "0 T"}
 
 
 class Case(NamedTuple):
-    """Another value of a setting, tables that change, all of one stage, and other settings that give it a meaning."""
+    """Another value of a setting, tables that change, all of one stage, and what else gives it a meaning.
+
+    That is other settings, or a field of the detector.
+    """
 
     value: Any
     changed: tuple[str, ...]
@@ -83,6 +87,7 @@ CASES: dict[str, Case] = {
     "find.min_score": Case(30.0, FOUND),
     "find.max_seeds": Case(1, FOUND, BUSY),
     "find.annealing": Case(False, FOUND, BUSY),
+    "find.momentum": Case(0.03, FOUND, WITHOUT_FIELD),
     "fit.cluster_errors": Case("cluster", FOUND),
     "fit.screening": Case("moliere", FITTED),
     "fit.loss": Case("mean", FITTED),
@@ -99,6 +104,7 @@ CASES: dict[str, Case] = {
     "fit.delta_strips": Case(0.2, FOUND),
     "fit.kinks": Case(False, FITTED),
     "fit.outlier_pull": Case(2.5, FITTED),
+    "fit.momentum": Case(0.1, FITTED, WITHOUT_FIELD | {"find.momentum": 1.0}),
     "fit.prior_sigma": Case((1.0, 0.05, 0.5, 1.0, 0.2), FITTED),
     "refine.drift_times": Case("raw", FOUND),
     "refine.start_time": Case("fitted", FOUND),
@@ -122,8 +128,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
 def tables(changes: tuple[tuple[str, Any], ...], folder: str, until: Any) -> Mapping[str, Table]:
     """Return the tables of a run with some settings changed."""
     overrides = {key: folder if value == FOLDER else value for key, value in changes}
-    settings = cg.Settings().with_overrides(overrides)
-    return dict(cg.run(DETECTOR, GUN, 10, 1, settings=settings, finder="ckf", until=until, workers=1).tables)
+    field = {key: overrides.pop(key) for key in WITHOUT_FIELD if key in overrides}
+    settings, detector = cg.Settings().with_overrides(overrides), DETECTOR.with_overrides(field) if field else DETECTOR
+    return dict(cg.run(detector, GUN, 10, 1, settings=settings, finder="ckf", until=until, workers=1).tables)
 
 
 def differ(one: Table | None, other: Table | None) -> bool:

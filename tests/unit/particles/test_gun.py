@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from cgemit import run
-from cgemit.particles.gun import Gun, Guns, generate
+from cgemit.particles.gun import Gun, Guns, generate, usual_momentum
+from cgemit.particles.samples import sample
 from cgemit.particles.species import species
 from cgemit.particles.table import ParticleError, particles_from
 from stats import assert_within
@@ -303,3 +304,19 @@ def test_charged_particles_have_unit_charge_and_a_mass():
         "charge: is none of -1, 0 and 1 (2) in row 0",
         "mass: is 0 for a charged particle (0.0) in row 1",
     )
+
+
+@pytest.mark.parametrize(
+    ("gun", "expected"),
+    [
+        (Gun("mu-", p=2.0, theta=1), 2.0),
+        (Gun("mu-", p=(0.5, 2.0), theta=1), 1.0),
+        (Gun("mu-", p=[0.1, 1.0, 10.0], theta=1), 1.0),
+        (Gun("mu-", pt=1.0, cos_theta=(0.2, 0.8)), 1 / np.sqrt(0.75)),
+        (Gun("mu-", p=1.0, theta=1) + Gun("pi-", p=4.0, theta=1), 2.0),
+        (sample("cosmic"), None),
+        (None, None),
+    ],
+)
+def test_the_usual_momentum_is_a_geometric_mean(gun, expected):
+    assert usual_momentum(gun) == (expected if expected is None else pytest.approx(expected))
