@@ -429,8 +429,8 @@ def _solved(
     other = {"other_chi2": np.full(n, np.nan), "other_distance": np.full(n, np.nan)}
     other["other_chi2"][rows[competing]] = np.maximum(found[1], best)[competing]
     other["other_distance"][rows[competing]] = np.linalg.norm(apart[competing], axis=1)
-    for mine, one in zip((vertex, chi2, cov, status), found[:4], strict=True):
-        mine[rows[better]] = one[better]
+    wins = rows[better]
+    vertex[wins], chi2[wins], cov[wins], status[wins] = (part[better] for part in found[:4])
     ok = (status == VertexStatus.ok)[:, None]
     return _results(pairs, np.where(ok, vertex, 0.0), cov, beam_spot) | other, status, iterations
 
