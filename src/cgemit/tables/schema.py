@@ -445,6 +445,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 _MAY_BE_NAN = frozenset(
     {"digis.position", "drift_time", "err_start_time", "states.residual", "states.err", "states.pull"}
     | {f"{table}.{one.name}" for table in ("clusters", "refined_clusters") for one in _CLUSTERS if "NaN" in one.doc}
+    | {f"{table}.{name}" for table in ("clusters", "refined_clusters") for name in ("charge", "time")}  # of other files
     | {f"matches.{column.name}" for column in MATCHES}
 )
 

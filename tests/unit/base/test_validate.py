@@ -37,8 +37,7 @@ SEEDED: dict[str, Callable[[Any], object]] = {
         cg.load(DESIGN), *empty("digis", "wire_hits"), cg.BackgroundSettings(), seed
     ),
     "mix_events": lambda seed: cg.mix_events(
-        DESIGN, *empty("digis", "wire_hits"), dict(zip(("digis", "wire_hits"), empty("digis", "wire_hits"), strict=True)),
-        seed=seed,
+        DESIGN, *empty("digis", "wire_hits"), {name: empty(name)[0] for name in ("digis", "wire_hits")}, seed=seed,
     ),
     "slab": lambda seed: cg.slab("Si 1 mm", "mu-", 1.0, seed=seed),
     "scan": lambda seed: cg.study.scan(DESIGN, [1.0], events=1, seed=seed),
@@ -61,7 +60,7 @@ SEEDED: dict[str, Callable[[Any], object]] = {
 @pytest.mark.parametrize("seed", [None, -1, 1.5, "x", True, 2**64, float, [1, 2], np.array([1, 2])], ids=repr)
 def test_every_function_refuses_a_seed_with_the_same_words(name: str, seed: Any) -> None:
     text = f"seed: got {seed!r}, expected a whole number from 0 to 18446744073709551615"
-    with pytest.raises(ValueError) as caught:
+    with pytest.raises(ValueError, match="seed: got") as caught:
         SEEDED[name](seed)
     assert [line.strip().removeprefix("evaluate.") for line in str(caught.value).splitlines()[1:]] == [text]
 
