@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
 from cgemit.detector import CgemLayer, Detector, Shell, WireLayer, load
-from cgemit.draw.event import wire_layers, wire_positions, wire_profile
+from cgemit.draw.event import chamber_begin, wire_layers, wire_positions, wire_profile
 from cgemit.draw.style import COLORS, Picture, new_picture, plain, style
 
 _PARTS = {
@@ -158,11 +158,11 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
             ax.add_patch(Rectangle(corner, *size, facecolor=color, edgecolor=color, linewidth=0.5))
         for layer in layers:
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
-        heights = [cgem.r_mid for cgem in detector.layers]
-        room = min(np.diff(heights), default=edge) > _LABEL * edge
-        for cgem in detector.layers if room else ():
-            place = (cgem.half_length + 0.008 * reach, cgem.r_mid)
-            ax.annotate(plain(cgem.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
+        seen = [layer for layer in detector.layers if layer.r_mid < edge]
+        room = min(np.diff([layer.r_mid for layer in seen]), default=edge) > _LABEL * edge
+        for one in seen if room else ():
+            place = (one.half_length + 0.008 * reach, one.r_mid)
+            ax.annotate(plain(one.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
         _polar_angles(ax, edge, reach)
         ax.set(xlim=(-reach, reach), ylim=(0, edge), xlabel="z (mm)", ylabel="r (mm)")
         ax.set_title(f"{plain(detector.name)}: r-z", pad=16)
@@ -219,7 +219,7 @@ def _rings(detector: Detector) -> Iterator[_Ring]:
         yield _Ring("CGEM electrodes and gaps", layer.r_in, layer.r_out, layer.half_length)
         yield _Ring("CGEM drift gap", layer.r_gap_in, layer.r_gap_out, layer.half_length)
     for sensor in detector.layer:
-        yield _Ring("layer", sensor.r_in, sensor.r_out, sensor.half_length)
+        yield _Ring("layer" if sensor.views else "wall", sensor.r_in, sensor.r_out, sensor.half_length)
 
 
 def _kind(layer: WireLayer) -> str:
@@ -232,9 +232,11 @@ def _outer_edge(detector: Detector) -> float:
 
 
 def _inner_edge(detector: Detector) -> float:
-    """Return the radius of a view of the part inside the outer drift chamber, mm."""
-    rings = 1.2 * max([ring.r_out for ring in _rings(detector)], default=0.0)
-    return min(rings if detector.layers else max(rings, 0.28 * _outer_edge(detector)), _outer_edge(detector))
+    """Return the radius of a view of the parts inside of the drift chamber, mm; of all without a chamber."""
+    begin = chamber_begin(detector)
+    rings = 1.2 * max([ring.r_out for ring in _rings(detector) if ring.r_out < begin], default=0.0)
+    measured = any(layer.r_out < begin for layer in detector.layers)
+    return min(rings if measured else max(rings, 0.28 * _outer_edge(detector)), _outer_edge(detector))
 
 
 def _wires_xy(ax: Axes, detector: Detector, edge: float) -> set[str]:

@@ -20,8 +20,10 @@ from cgemit.detector.parts import CgemLayer
 from cgemit.draw.event import (
     Array,
     EventView,
+    chamber_begin,
     draw_cluster_strips,
     line_widths,
+    matter_layers,
     strip_line,
     view_of,
     wire_layers,
@@ -89,7 +91,8 @@ def event(result: Result, number: int = 0) -> Picture:
             _drift_circles(plot, view)
             _frame(plot, "x  (mm)", "y  (mm)")
         _limit(axes[0], *_window(view))
-        _limit(axes[1], (0.0, 0.0), 1.1 * max((layer.r_out for layer in detector.layers), default=0.3 * view.r))
+        inner = [layer.r_out for layer in detector.layers if layer.r_out < chamber_begin(detector)]
+        _limit(axes[1], (0.0, 0.0), 1.1 * max(inner, default=0.3 * view.r))
         _longitudinal_detector(axes[2], detector)
         _longitudinal_hits(axes[2], view)
         _frame(axes[2], "z  (mm)", "r  (mm)")
@@ -137,8 +140,9 @@ def _window(view: EventView) -> tuple[tuple[float, float], float]:
 
 
 def _transverse_detector(axes: Axes, detector: Detector) -> None:
-    for part in (*detector.beam_pipe, *detector.walls):
-        axes.add_patch(Wedge((0, 0), part.r_out, 0, 360, width=max(part.thickness, 0.4), color=COLORS["matter"], lw=0))
+    for part in (*detector.beam_pipe, *detector.walls, *matter_layers(detector)):
+        width = max(part.r_out - part.r_in, 0.4)
+        axes.add_patch(Wedge((0, 0), part.r_out, 0, 360, width=width, color=COLORS["matter"], lw=0))
     for layer in detector.layers:
         axes.add_patch(Wedge((0, 0), layer.r_out, 0, 360, width=layer.r_out - layer.r_in, color="#E6ECF3", lw=0))
         gap = max(layer.r_gap_out - layer.r_gap_in, 0.8)  # a sensor of silicon stays visible
@@ -155,9 +159,10 @@ def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
         corner = (-layer.half_length, layer.r_in)
         height = max(layer.r_out - layer.r_in, 0.8)
         axes.add_patch(Rectangle(corner, 2 * layer.half_length, height, color="#B7D5EF", lw=0))
-    for part in (*detector.beam_pipe, *detector.walls):
+    for part in (*detector.beam_pipe, *detector.walls, *matter_layers(detector)):
         corner = (-part.half_length, part.r_in)
-        axes.add_patch(Rectangle(corner, 2 * part.half_length, max(part.thickness, 0.8), color=COLORS["matter"], lw=0))
+        height = max(part.r_out - part.r_in, 0.8)
+        axes.add_patch(Rectangle(corner, 2 * part.half_length, height, color=COLORS["matter"], lw=0))
     lines = [np.column_stack(wire_profile(layer)) for layer in wire_layers(detector)]
     axes.add_collection(LineCollection(lines, colors="#E1E5EA", linewidths=0.6))
 

@@ -82,3 +82,22 @@ def test_parts_may_be_missing() -> None:
     bare = load({"base": "besiii-idc", "remove": ["beam_pipe", "walls"]})
     draw_detector(bare)
     draw_sides(bare)
+
+
+@pytest.mark.parametrize(("name", "last"), [("idea-like", 315.0), ("cepc-like", 570.0), ("epic-like", 740.0)])
+def test_inner_part_is_what_lies_inside_of_the_chamber(name: str, last: float) -> None:
+    """A layer behind the chamber does not make the whole detector its inner part."""
+    detector = load(name)
+    for axes in (draw_detector(detector).axes[1], draw_sides(detector).axes[1]):
+        assert last < axes.get_ylim()[1] < 1.4 * last
+
+
+def test_layers_that_measure_nothing_are_drawn_as_walls() -> None:
+    """In `cepc-like` the shell behind the vertex layers is matter alone."""
+    detector = load({"base": "cepc-like", "name": "shell", "remove": ["walls.*"]})
+    assert not detector.walls
+    axes = draw_xy(detector, r_max=100)
+    colors = {round(float(p.get_radii()[0]), 3): p.get_facecolor() for p in axes.patches if isinstance(p, Annulus)}
+    shell, measuring = detector.layer["SHELL"], detector.layer["VTX1"]
+    assert colors[round(shell.r_out, 3)] != colors[round(measuring.r_out, 3)]
+    assert "wall" in [text.get_text() for text in axes.get_legend().get_texts()]

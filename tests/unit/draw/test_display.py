@@ -331,3 +331,20 @@ def test_display_says_what_it_has_drawn(tmp_path):
     assert (record["first_event"], record["events"]) == (3, 1)
     assert cg.load(tmp_path / "out" / "detector.toml") == cg.load("besiii-cgem")
     assert main([*line, "--settings", str(tmp_path / "out" / "run.json"), "-o", str(tmp_path / "again")]) == 0
+
+
+def test_inner_layers_are_those_inside_of_the_chamber() -> None:
+    """The view of the inner layers of `idea-like` ends behind its pixels, and shows layers of matter alone."""
+    result = cg.run("idea-like", cg.Gun("mu-", p=5.0, cos_theta=0.2), n=1)
+    axes = cg.draw.event(result, 0).axes[1]
+    assert axes.get_xlim()[1] == pytest.approx(1.1 * result.detector.layer["VTX5"].r_out)
+    bare = {"base": "epic-like", "name": "covered"}
+    cover = {"layer": {"COVER": {"radius": "900 mm", "length": "3 m", "thickness": "5 mm", "material": "Al"}}}
+    matter = []
+    for tables in (bare, bare | cover):
+        picture = cg.draw.event(cg.run(tables, cg.Gun("mu-", p=5.0, cos_theta=0.2), n=1), 0)
+        colour = to_hex(COLORS["matter"])
+        matter.append(
+            [sum(to_hex(patch.get_facecolor()) == colour for patch in one.patches) for one in picture.axes[:3]]
+        )
+    assert (np.array(matter[1]) - matter[0]).tolist() == [1, 1, 1]
