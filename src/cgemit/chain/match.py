@@ -144,7 +144,7 @@ def _shared(detector: Detector, tables: Mapping[str, Table], best: Rows) -> Rows
 
 def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
     """Tell which clusters hold the mid-gap point of the crossing that they link to, or end a pitch before it."""
-    of_layer = np.array([pitches(layer) for layer in detector.layers])
+    of_layer = np.array([pitches(layer) for layer in detector.layers]).reshape(-1, 2)
     pitch = of_layer[clusters["layer"], clusters["view"]]
     off = np.abs(residuals(detector, clusters, truths, np.arange(len(clusters))))
     return np.asarray(off <= (0.5 * clusters["size"] + 1) * pitch)

@@ -322,7 +322,7 @@ def _errors(clusterer: Clusterer, detector: Detector) -> tuple[Floats, Floats, F
     if not detector.layer:
         return x, v, xv
     # Where a coordinate is not measured, its error is not asked for.
-    own = np.array([[0.0, 0.0] if isinstance(one, CgemLayer) else one.errors for one in detector.layers])
+    own = np.reshape([[0.0, 0.0] if isinstance(one, CgemLayer) else one.errors for one in detector.layers], (-1, 2))
     own[own == 0] = 1.0
     found = []
     for values, others in ((x, own[:, 0]), (v, own[:, 1]), (xv, np.zeros(len(own)))):

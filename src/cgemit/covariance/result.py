@@ -162,10 +162,11 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     chamber = detector.drift_chamber
     if chamber is not None:
         found += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
+    layers = [*detector.layers, *(layer for layer in detector.layer if not layer.views)]
     for slab in slabs(detector):
         first = slab.shells[0]
         of_layer = first.group in ("cathode", "drift", "foils", "anode", "sensor", "support")
-        inside = [layer.label for layer in detector.layers if of_layer and _contains(layer, first.r_in)]
+        inside = [layer.label for layer in layers if of_layer and _contains(layer, first.r_in)]
         part = inside[0] if inside else first.group
         name = f"{part} {first.group}" if inside else f"{first.group} {first.r_in:.5g} mm"
         for cause, weight in ((SCATTERING, "x0"), (STRAGGLING, "xi")):

@@ -309,8 +309,11 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
     walls = Labelled(_parts(reader, tables, "walls", Cylinder, "r_in"))
     chamber = read_chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
     levels = tuple(_parts(reader, tables, "background", BackgroundLevel, "label"))
-    if not cgem and not layer and not chamber and not reader.baseless:
-        reader.note("", "no detector", "at least one [cgem.<label>], [layer.<label>] or a [drift_chamber]")
+    # A layer that could not be read may measure.
+    measures = any(one.views for one in layer) or any(one.path.startswith("layer") for one in problems)
+    if not cgem and not measures and not chamber and not reader.baseless:
+        expected = "a [cgem.<label>], a [layer.<label>] with an error or a pitch, or a [drift_chamber]"
+        reader.note("", "nothing that measures", expected)
     if problems:
         more = check.field_problems(field) + check.geometry_problems(pipe, cgem, layer, walls, chamber)
         raise DetectorError(source, problems + more)

@@ -230,10 +230,11 @@ def _written(detector: Contents) -> Iterator[Row]:
         for number, shells in enumerate(sensor.stacks()):
             yield _row(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
     chamber = detector.drift_chamber
-    before = max([part.r_out for part in (*detector.walls, *detector.layers)], default=0.0)
+    begin = chamber.layers[0].r_mid if chamber else 0.0
+    parts = (*detector.beam_pipe, *detector.walls, *detector.cgem, *detector.layer)
+    before = max((part.r_out for part in parts if part.r_out < begin), default=0.0)
     for wires in chamber.layers if chamber else ():
-        width = wires.r_mid - (before if before < wires.r_mid else 0.0)
-        width = min(width, 4 * math.pi * wires.r_mid / wires.cells)
+        width = min(wires.r_mid - before, 4 * math.pi * wires.r_mid / wires.cells)
         before = wires.r_mid
         tilt = math.atan(wires.r_end * math.sin(0.5 * wires.twist) / wires.half_length)
         gas = chamber.gas if chamber else None

@@ -156,8 +156,8 @@ def cluster(
     # The readout sees CGEM layers alone; other layers measure positions.
     view = strip_view(detector)
     is_strip = _numbers(view, digis) >= 0
-    errors = np.array([(0.0, 0.0) if isinstance(one, CgemLayer) else one.errors for one in detector.layers])
-    positions = clusters_of_positions(detector, digis[~is_strip], errors)
+    errors = [(0.0, 0.0) if isinstance(one, CgemLayer) else one.errors for one in detector.layers]
+    positions = clusters_of_positions(detector, digis[~is_strip], np.reshape(errors, (-1, 2)))
     strips, own = view.of(digis[is_strip]), None
     if directions is not None:
         own = directions[_numbers(view, _joined(view.back(of_readout(view.detector, strips, None)), positions)) >= 0]
