@@ -60,7 +60,7 @@ def wire_layers(sigma=0.13, sigma_slope=0.0, efficiency=1.0):
 def core_detector(cgem=None, wires=None, bz=-1.0):
     """Compiled detector without matter."""
     reals = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi")
-    slabs = {name: np.empty(0) for name in reals} | {"gap": np.empty(0, "i4"), "ends": np.empty(0, "u1")}
+    slabs = {name: np.empty(0) for name in reals} | {"gap": np.empty(0, "i4"), "filler": np.empty(0, "u1")}
     return _core.Detector(
         bz=bz,
         slabs=slabs,

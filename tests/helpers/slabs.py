@@ -108,7 +108,7 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
         elements.append([])
     names = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi", "gap")
     columns = dict(zip(names, np.array(rows).T.copy(), strict=True))
-    columns |= {"gap": columns["gap"].astype(np.int32), "ends": np.zeros(len(rows), np.uint8)}
+    columns |= {"gap": columns["gap"].astype(np.int32), "filler": np.zeros(len(rows), np.uint8)}
     layer = {"r_gap_in": -2.5, "r_gap_out": 2.5, "r_readout": 9.0, "half_length": half_length, "pitch_x": 0.65,
              "pitch_v": 0.65, "stereo": 0.8, "offset_v": 0.0, "dead_seam": 0.0, "dead_ends": 0.0,
              "lorentz_shift": 0.0, "slope": 0.0}  # fmt: skip

@@ -53,8 +53,8 @@ MIXTURES = [
 
 def scatterers(detector: cg.Detector) -> list[Slab]:
     """Return cathode, foils and anode of each layer as a scatterer each, and the gas in lumps, one per wire layer."""
-    gas = [slab for slab in slabs(detector, merge=False) if slab.ends]
-    solid = [slab for slab in slabs(detector) if not slab.ends]
+    gas = [slab for slab in slabs(detector, merge=False) if slab.shells[0].group == "gas"]
+    solid = [slab for slab in slabs(detector) if slab.shells[0].group != "gas"]
     return sorted(solid + gas, key=lambda slab: slab.r_in)
 
 

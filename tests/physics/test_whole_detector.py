@@ -59,7 +59,7 @@ def test_the_gate_sees_lost_matter():
 def part_of_the_matter(screening, gas):
     """Return the chamber gas of the design alone, or all but the gas, as the core has it."""
     detector = load("besiii-cgem-design")
-    table = slab_table([slab for slab in slabs(detector) if slab.ends == gas])
+    table = slab_table([slab for slab in slabs(detector) if (slab.shells[0].group == "gas") == gas])
     return _core.Detector(
         bz=-1.0, **table._asdict(), layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber),
         screening=getattr(_core.Screening, screening),

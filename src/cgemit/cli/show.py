@@ -117,6 +117,8 @@ def text(numbers: Mapping[str, Any]) -> str:
         lines += ["", "Layers that measure positions (V at 90 deg: z)", *_rows(_LAYERS, numbers["layers"])]
     if numbers["wires"]:
         lines += ["", "Wire layers", *_rows(_WIRES, numbers["wires"])]
+    if numbers["unreachable"]:
+        lines += ["", *numbers["unreachable"]]
     return "\n".join(lines)
 
 

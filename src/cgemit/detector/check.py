@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from cgemit.base.errors import Problem
-from cgemit.detector.field import Field, FieldGrid, MapField
+from cgemit.detector.field import Field, FieldGrid, MapField, field_range
 from cgemit.detector.keys import Part, keys_of, once
 from cgemit.detector.parts import (
     STACKS,
@@ -19,6 +19,7 @@ from cgemit.detector.parts import (
     MeasurementLayer,
     WireLayer,
     extent,
+    layers_of,
 )
 from cgemit.detector.reader import strip_text
 from cgemit.units import NATIVE, format_quantity
@@ -158,6 +159,53 @@ def _cylinder_problem(path: str, part: Cylinder) -> list[Problem]:
     if part.thickness > _THICK:
         return [Problem(f"{path}.r_out", f"a thickness of {part.thickness:g} mm", f"at most {_THICK:g} mm")]
     return []
+
+
+def unreachable(detector: Contents) -> list[str]:
+    """Return what part of each layer no track from the origin reaches; empty if all are reached.
+
+    Straight tracks reach every point of the field's range. Tracks end at its edge.
+
+    Parameters
+    ----------
+    detector : Contents
+    """
+    radius, first, last = field_range(detector.field)
+    found: dict[str, list[str]] = {}
+    for layer in layers_of(detector):
+        path = f"{'cgem' if isinstance(layer, CgemLayer) else 'layer'}.{layer.label}"
+        inside = layer.half_length if layer.r_gap_out <= radius else -math.inf
+        if text := _unreached(layer.half_length, max(first, -inside), min(last, inside)):
+            found.setdefault(text, []).append(path)
+    for wire in detector.drift_chamber.layers if detector.drift_chamber else ():
+        inside = _inside(wire, radius)
+        if text := _unreached(wire.half_length, max(first, -inside), min(last, inside)):
+            found.setdefault(text, []).append(f"drift_chamber.layers.{wire.number}")
+    return [f"{', '.join(_shortened(paths))}: {text}" for text, paths in found.items()]
+
+
+def _inside(wire: WireLayer, radius: float) -> float:
+    """Return the |z| up to which wires are within a radius, mm; below 0 if they are nowhere."""
+    if wire.r_end <= radius:
+        return wire.half_length
+    if wire.r_mid > radius:
+        return -math.inf
+    return wire.half_length * math.sqrt((radius**2 - wire.r_mid**2) / (wire.r_end**2 - wire.r_mid**2))
+
+
+def _unreached(half_length: float, first: float, last: float) -> str:
+    """Return what is left of a layer outside of the z from first to last; empty if nothing is."""
+    if first > last:
+        return "no track from the origin reaches it: the field ends before"
+    below, above = first > -half_length, last < half_length
+    if not (below or above):
+        return ""
+    places = [f"z below {first:g} mm"] * below + [f"z above {last:g} mm"] * above
+    return f"no track from the origin reaches {' and '.join(places)}: the field ends there"
+
+
+def _shortened(paths: Sequence[str]) -> Sequence[str]:
+    return paths if len(paths) < 4 else [paths[0], f"{len(paths) - 2} more", paths[-1]]
 
 
 @once

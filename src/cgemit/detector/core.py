@@ -319,7 +319,7 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(NUMBERS)).T
     columns: Columns = dict(zip(NUMBERS, numbers.copy(), strict=True))
     columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
-    columns["ends"] = np.array([slab.ends for slab in found], dtype=np.uint8)
+    columns["filler"] = np.array([slab.filler for slab in found], dtype=np.uint8)
     terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.LOSS_POINTS)
     elements = np.concatenate([np.empty((0, 3)), *(row.elements for row in rows)]).T
     first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from cgemit.base.files import new_file, toml_text
 from cgemit.detector.build import library
+from cgemit.detector.check import unreachable
 from cgemit.detector.field import KINDS, MapField, field_text, kind_key
 from cgemit.detector.files import OWN_MAP, write_field_map
 from cgemit.detector.keys import CELLS, CENTRED, Key, keys_of, once, opened, required_of
@@ -60,7 +61,7 @@ def lines(detector: Contents) -> list[str]:
         found.append(f"drift chamber: {detector.drift_chamber.text()}")
     if detector.background:
         found.append("background: " + ", ".join(level.label for level in detector.background))
-    return found
+    return found + unreachable(detector)
 
 
 def summary(detector: Contents) -> str:
@@ -85,8 +86,8 @@ def describe(detector: Contents) -> dict[str, Any]:
     -------
     dict
         name, description, field_t (at the origin), field (text); `material`: one entry per scatterer with its
-        `sub_layers`; `cgem`, `layers` and `wires`: one entry per layer. Thickness in radiation lengths and energy loss
-        at normal incidence.
+        `sub_layers`; `cgem`, `layers` and `wires`: one entry per layer; `unreachable`: lines that say what part of a
+        layer no track from the origin reaches. Thickness in radiation lengths and energy loss at normal incidence.
 
     Examples
     --------
@@ -107,6 +108,7 @@ def describe(detector: Contents) -> dict[str, Any]:
         "cgem": [_cgem(layer) for layer in detector.cgem],
         "layers": [_sensor(layer) for layer in detector.layer],
         "wires": [_wires(layer, gid) for layer, gid in wires],
+        "unreachable": unreachable(detector),
     }
 
 

@@ -349,6 +349,22 @@ class MapField(Field):
     grid: FieldGrid  # as in the file, not scaled
 
 
+def field_range(detector_field: Field) -> tuple[float, float, float]:
+    """Return the radius up to which a field holds at every azimuth, and its first and last z, mm; infinite without end.
+
+    Parameters
+    ----------
+    detector_field : Field
+    """
+    if isinstance(detector_field, HarmonicField):
+        return detector_field.r_max, -detector_field.z_max, detector_field.z_max
+    if isinstance(detector_field, MapField):
+        *across, z = detector_field.grid.axes
+        radius = min(min(axis.last, -axis.first if axis.name != "r" else math.inf) for axis in across)
+        return radius, z.first, z.last
+    return math.inf, -math.inf, math.inf
+
+
 KINDS: dict[str, type[Field]] = {
     "uniform": Field,
     "solenoid": SolenoidField,

@@ -178,8 +178,12 @@ class Slab:
 
     shells: tuple[Shell, ...]
     gap: int = -1
-    ends: bool = False  # leaving it through an end means leaving the detector
     holes: Holes | None = None  # of a part of a foil at the density of its solid matter
+
+    @property
+    def filler(self) -> int:
+        """What fills the space between parts: 0 for a part, 1 for air, 2 for gas of the drift chamber."""
+        return {"air": 1, "gas": 2}.get(self.shells[0].group, 0)
 
     @property
     def r_in(self) -> float:
@@ -341,7 +345,7 @@ def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) ->
     if outside and outside[0].r_in - last.r_mid > TOUCH:
         text = f"gas behind layer {last.number}"
         shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.half_length, chamber.gas)
-        found.append(Slab((shell,), ends=True))
+        found.append(Slab((shell,)))
     for inner, outer in pairwise(outside):
         if outer.r_in - inner.r_out > TOUCH:
             found.append(_air(inner.r_out, outer.r_in, detector.air))
@@ -375,7 +379,7 @@ def _lumps(gas: Sequence[Slab]) -> list[Slab]:
         last = found[-1] if found else None
         touches = last is not None and slab.r_in - last.r_out < TOUCH
         if last is not None and touches and slab.r_out - last.r_in < _LUMP and _same_end(last, slab):
-            found[-1] = Slab((*last.shells, *slab.shells), ends=True)
+            found[-1] = Slab((*last.shells, *slab.shells))
         else:
             found.append(slab)
     return found
@@ -400,7 +404,7 @@ def _chamber_gas(gas: _Gas, start: float, walls: tuple[tuple[float, float], ...]
             text = f"gas before layer {number}"
             shell = Shell("gas", text, r_in, r_out, max(before, half_length), gas.material)
             share = (r_out - r_in) / (radius - start)
-            found.append(Slab((shell, *_wires(gas, shell, x0 * share)), ends=True))
+            found.append(Slab((shell, *_wires(gas, shell, x0 * share))))
         start, before = radius, half_length
     return tuple(_lumps(found) if merge else found)
 

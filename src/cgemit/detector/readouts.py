@@ -60,6 +60,8 @@ class Readout(SettingsData):
 class BinaryReadout(Readout):
     """Strips that the projected path touches fire; clusters are contiguous fired strips (arXiv:1504.02570).
 
+    With a threshold above 0 it needs ionization: `least_electrons` in the gap.
+
     Attributes
     ----------
     gain : float
@@ -94,7 +96,7 @@ class BinaryReadout(Readout):
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianReadout(Readout):
-    """No strips: X and V at mid-gap are measured with independent Gaussian errors.
+    """No strips: X and V at mid-gap are measured with independent Gaussian errors, whatever the crossing deposits.
 
     Attributes
     ----------
@@ -170,6 +172,8 @@ class ChipErrors:
 @dataclass(frozen=True, kw_only=True)
 class ProjectionReadout(Readout):
     """Each strip integrates its part of a charge profile along the projected path; position is the charge centroid.
+
+    It needs ionization: a crossing that frees no electron in the gap has no clusters.
 
     Attributes
     ----------
@@ -351,6 +355,8 @@ APV25 = Chip(kind="apv25", timing=_CR_RC, charge=_CR_RC, clock=25.0, samples=27)
 @dataclass(frozen=True, kw_only=True)
 class AnalogReadout(Readout):
     """A chip that measures charge and time of each strip. Gas and fields belong to the detector.
+
+    It needs ionization: a crossing that frees no electron in the gap has no clusters.
 
     Attributes
     ----------

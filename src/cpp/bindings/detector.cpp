@@ -47,7 +47,7 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
              half_length = take<double>(columns, "half_length"), x0 = take<double>(columns, "x0"),
              xi = take<double>(columns, "xi");
   const auto gap = take<std::int32_t>(columns, "gap");
-  const auto ends = take<std::uint8_t>(columns, "ends");
+  const auto filler = take<std::uint8_t>(columns, "filler");
   const auto n = static_cast<std::size_t>(r_in.size());
   const auto terms = matrix(log_terms, "log_terms", r_in.size(), loss_points);
   std::vector<Slab> slabs(n);
@@ -61,7 +61,7 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
     slab.x0 = x0.at(i);
     slab.xi = xi.at(i);
     slab.gap = gap.at(i);
-    slab.ends = ends.at(i) != 0;
+    slab.filler = static_cast<Filler>(filler.at(i));
     for (std::size_t k = 0; k < loss_points; ++k) slab.table[k].log_term = terms[i * loss_points + k];
   }
   add_components(composition, slabs);

@@ -12,6 +12,7 @@
 #include "detector/strip_plane.hpp"
 #include "matter/draws.hpp"
 #include "motion/cells.hpp"
+#include "motion/reach.hpp"
 #include "motion/uniform.hpp"
 
 namespace cgemit {
@@ -57,12 +58,13 @@ class ExpectedHits {
 
   void reaches(GroupStep& step, const Slab& slab, const HelixPointOf<T>& at, const Mask& reached) {
     step.first = step.last = next_;
-    if (slab.ends) inside_ = inside_ & ((!reached) | (abs(at.z) <= slab.half_length));
+    if (const Mask missed = reached & (abs(at.z) > slab.half_length); any(missed))
+      reach_.miss(detector_, slab, at, missed, false);
     if (slab.gap < 0) return;
     const auto index = static_cast<std::size_t>(slab.gap);
     if (again_) return repeat(step, at);
     const MeasuringLayer& layer = detector_.layers[index];
-    const Mask within = reached & inside_ & (abs(at.z) <= layer.half_length - layer.dead_ends);
+    const Mask within = reached & reach_.parts & (abs(at.z) <= layer.half_length - layer.dead_ends);
     if (!any(within)) return;
     const double dead = 0.5 * layer.dead_seam;
     const T phi = atan2(at.y, at.x);
@@ -87,7 +89,7 @@ class ExpectedHits {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
     if (again_) return repeat(step, at);
-    const Mask outward = alive & inside_ & (at.outward() >= 0.0);
+    const Mask outward = alive & reach_.chamber & (at.outward() >= 0.0);
     if (!any(outward)) return;
     CellRange<T, HelixPointOf<T>> range;
     const Mask found = cells_.find(index, at, outward, range);
@@ -306,7 +308,7 @@ class ExpectedHits {
   UniformMotionOf<T>
       steps_;  // to the next layer of wires; short, so that the field is as at the last surface
   CellFinder<T, UniformMotionOf<T>> cells_;
-  Mask inside_{true};  // not yet beyond an end
+  Reach<T> reach_;
   std::size_t layer_ = 0;
   std::int32_t next_ = 0;
 };

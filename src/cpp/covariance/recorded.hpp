@@ -7,6 +7,7 @@
 
 #include "kalman/tracer.hpp"
 #include "motion/cells.hpp"
+#include "motion/reach.hpp"
 #include "motion/uniform.hpp"
 
 namespace cgemit {
@@ -74,7 +75,7 @@ class RecordedTrack {
     void passes(GroupStep& step, HelixMotion<double>& motion, bool alive) {
       step.first = step.last = 0;
       const std::size_t index = layer_++;
-      if (!alive || !inside_) return;
+      if (!alive || !reach_.chamber) return;
       const HelixPoint from = motion.point();
       const double radius = wire_radius(track_->detector_->wires[index], from.z);
       if (!(from.outward() > 0) || !motion.go_to(radius, true)) {
@@ -85,8 +86,9 @@ class RecordedTrack {
     }
     void reaches(GroupStep& step, const Slab& slab, const HelixMotion<double>& motion, bool reached) {
       step.first = step.last = 0;
-      if (slab.ends && reached && std::abs(motion.point().z) > slab.half_length) inside_ = false;
-      if (slab.gap >= 0 && reached && inside_) record(step) = {true, motion, 0, {}};
+      if (reached && std::abs(motion.point().z) > slab.half_length)
+        reach_.miss(*track_->detector_, slab, motion.point(), true, false);
+      if (slab.gap >= 0 && reached && reach_.parts) record(step) = {true, motion, 0, {}};
     }
     bool on_wire(const Slot<double>&, double) const { return false; }
 
@@ -99,7 +101,7 @@ class RecordedTrack {
     UniformMotionOf<double> ahead_;
     CellFinder<double, UniformMotionOf<double>> cells_;
     std::size_t layer_ = 0;
-    bool inside_ = true;  // not yet beyond an end
+    Reach<double> reach_;
   };
 
   const Detector* detector_;

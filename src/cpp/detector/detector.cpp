@@ -31,6 +31,14 @@ PlacedWires wires_of(const WireLayer& layer, const Placement& chamber) {
   return PlacedWires(std::move(placed));
 }
 
+std::vector<Extent> parts_of(const Detector& detector) {
+  std::vector<Extent> parts;
+  for (const Slab& slab : detector.slabs)
+    if (slab.filler == Filler::none) parts.push_back({slab.radius, slab.half_length});
+  std::ranges::stable_sort(parts, {}, &Extent::radius);
+  return parts;
+}
+
 }  // namespace
 
 void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
@@ -49,7 +57,8 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Meas
                        std::vector<WireLayer> wires, std::vector<GapMatter> gaps) {
   const double bz = field.bz;
   Detector detector{
-      bz, std::move(field), std::move(slabs), std::move(layers), std::move(wires), std::move(gaps), {}, {}};
+      bz, std::move(field), std::move(slabs), std::move(layers), std::move(wires), std::move(gaps), {}, {},
+      {}};
   for (Slab& slab : detector.slabs) {
     slab.least_outward = std::sqrt(0.5 * (slab.r_out - slab.r_in) * slab.radius);
     slab.shifts = slab.spread * 13.6 * MeV * std::sqrt(slab.x0) > 5 * um;
@@ -65,6 +74,14 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Meas
     detector.surfaces.push_back({wire_radius(detector.wires[i], 0.0), false, static_cast<int>(i)});
   }
   std::ranges::stable_sort(detector.surfaces, {}, &Surface::radius);
+  detector.parts = parts_of(detector);
+  for (Slab& slab : detector.slabs) {
+    const auto outside = std::ranges::upper_bound(detector.parts, slab.radius, {}, &Extent::radius);
+    slab.parts_inside = static_cast<std::size_t>(outside - detector.parts.begin());
+    slab.steepest_beyond = 0;
+    for (auto part = outside; part != detector.parts.end(); ++part)
+      slab.steepest_beyond = std::max(slab.steepest_beyond, part->half_length / part->radius);
+  }
   return detector;
 }
 

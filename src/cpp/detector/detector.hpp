@@ -52,6 +52,9 @@ struct Holes {
   double begin, end;  // mm, where the slab begins and ends, outward from the middle of the foil
 };
 
+// What fills the space between parts.
+enum class Filler : std::uint8_t { none, air, chamber_gas };
+
 // A cylindrical shell of matter, or several neighbouring shells merged to one scatterer, acting at `radius`.
 // What every crossing reads comes first, in one cache line.
 struct alignas(64) Slab {
@@ -65,9 +68,13 @@ struct alignas(64) Slab {
   // Derived from the shell:
   double least_outward;  // mm, P of a track that grazes the shell
   int gap;               // index of the CGEM layer whose drift gap this is, or -1
-  bool ends;             // a track that crosses beyond half_length leaves the detector (end plate)
+  Filler filler;
   bool shifts;  // derived: whether shifts inside the slab matter: below 5 um at 1 GeV/c any hit error exceeds
                 // them
+  // Derived, of `Detector::parts`: largest tanl of a straight line from the origin to one outside of the
+  // slab, and the number of those that are not outside.
+  double steepest_beyond = 0;
+  std::size_t parts_inside = 0;
 
   double acting = HUGE_VAL;  // GeV^2 at normal incidence, chi_c^2 of the matter that acts with this slab, its
                              // own included, times (p beta)^2; infinite: all (`share_scattering`)
@@ -172,6 +179,11 @@ struct WireLayer {
   double twist_per_z;  // 1/mm, tan_half_twist/half_length
 };
 
+// The cylinder of a slab that is no filler.
+struct Extent {
+  double radius, half_length;  // mm
+};
+
 // A surface that a track crosses on its outward path, ordered by radius.
 struct Surface {
   double radius;  // mm
@@ -195,6 +207,7 @@ struct Detector {
   std::vector<WireLayer> wires;
   std::vector<GapMatter> gaps;    // one per layer; if empty, no electrons are followed
   std::vector<Surface> surfaces;  // by radius
+  std::vector<Extent> parts;      // by radius
   LossCuts loss;
 };
 

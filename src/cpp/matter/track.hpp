@@ -38,13 +38,14 @@ using TrackMatter = TrackMatterOf<double>;
 template <class T>
 TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   TrackMatterOf<T> total;
-  mask_of<T> inside(true);
+  mask_of<T> inside(true), chamber(true);  // as in `motion/reach.hpp`
   for (const Slab& slab : detector.slabs) {
-    const mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
+    mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
+    if (slab.filler == Filler::chamber_gas) met = chamber = chamber & met;
     total.x0 += select(met, T(slab.x0), 0.0);
     total.xi += select(met, T(slab.xi), 0.0);
     total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
-    if (slab.ends) inside = met;
+    inside = inside & (chamber | (abs(tanl) <= slab.steepest_beyond));
   }
   total.path = sqrt(1.0 + tanl * tanl);
   total.x0 *= total.path;

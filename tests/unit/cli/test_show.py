@@ -159,3 +159,17 @@ def test_validate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 def test_validate_writes_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("validate", "--schema", "besiii-cgem") == 0
     jsonschema.Draft202012Validator.check_schema(json.loads(capsys.readouterr().out))
+
+
+def test_show_and_validate_say_what_is_not_reached(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A layer that is longer than the field map is named by both."""
+    file = tmp_path / "short.toml"
+    field = 'kind = "harmonic"\nbz = "2 T"\nb = "1e-4 /m2"\nz_max = "2.1 m"\n'
+    file.write_text(f'base = "idea-like"\nname = "short"\n[field]\n{field}', encoding="utf-8")
+    line = "layer.WRAP1, layer.WRAP2: no track from the origin reaches z below -2100 mm and z above 2100 mm"
+    assert call("validate", str(file)) == 0
+    assert line in capsys.readouterr().out
+    assert call("show", str(file), "-o", str(tmp_path / "out")) == 0
+    assert line in capsys.readouterr().out
+    assert call("show", str(file), "-o", str(tmp_path / "json"), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["unreachable"][0].startswith(line)

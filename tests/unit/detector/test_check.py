@@ -14,7 +14,7 @@ from matplotlib.text import Text
 import cgemit as cg
 from cgemit.analysis.curves import Line
 from cgemit.cli.main import main
-from cgemit.detector import DetectorError, Problem, load, schema, write_field_map
+from cgemit.detector import DetectorError, Problem, describe, load, schema, write_field_map
 from cgemit.detector.build import library
 from cgemit.draw.curves import draw_probabilities, draw_pulls, draw_resolutions
 from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
@@ -138,7 +138,15 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
         ({"name": "a\\b"}, "name", r'"a\\b"'),
         ({"remove": ["cgem.L9"]}, "remove", "cgem.L9"),
         ({"remove": "cgem"}, "remove", "cgem"),
-        ({"remove": ["cgem", "drift_chamber"]}, "", "no detector"),
+        ({"remove": ["cgem", "drift_chamber"]}, "", "nothing that measures"),
+        (
+            {"remove": ["cgem", "drift_chamber"], "layer": {"SHELL": {"radius": "5 cm", "material": "Al"}}},
+            "", "nothing that measures",
+        ),
+        (
+            {"remove": ["cgem", "drift_chamber"], "layer": {"P": {"radius": "5 cm", "material": "Si", "sigma": "5"}}},
+            "layer.P.sigma", "5",
+        ),
         ({"remove": ["field"]}, "field", "nothing"),
         ({"base": "besiii-cgm"}, "base", "besiii-cgm"),
         ({"base": 3}, "base", "3"),
@@ -495,3 +503,52 @@ def test_dollars_are_drawn_as_they_are(tmp_path, capsys):
     assert (
         main(["resolution", "-d", str(file), "--p", "1", "--events", "30", "-o", str(tmp_path / "o"), "--quiet"]) == 0
     )
+
+
+#: A cylinder of field, and what of a detector lies outside of it: part, and what its line says.
+OUTSIDE = [
+    (
+        {"z_max": "2 m"},
+        "layer.WRAP1, layer.WRAP2: no track from the origin reaches z below -2000 mm and z above 2000 mm",
+    ),
+    ({"r_max": "2.05 m"}, "layer.WRAP2: no track from the origin reaches it: the field ends before"),
+    ({"z_max": "5 m", "r_max": "3 m"}, None),
+]
+
+
+@pytest.mark.parametrize(("limits", "line"), OUTSIDE)
+def test_what_lies_outside_of_the_field_is_not_reached(limits: dict[str, str], line: str | None) -> None:
+    """Layers beyond the range of the field are named with what is not reached of them; tracks make no hits there."""
+    tables = {"kind": "harmonic", "bz": "2 T", "b": "1e-4 /m2"} | limits
+    detector = cg.load("idea-like").with_field(tables)
+    found = describe(detector)["unreachable"]
+    assert len(found) == (line is not None)
+    assert all(one.startswith(line) and one in repr(detector) for one in found)
+    gun = cg.Gun("mu-", p=20.0, cos_theta=(-0.75, 0.75))
+    truths = cg.run(detector, gun, n=200, seed=1, until="simulate", workers=1).truths
+    z = truths["z"][truths["layer"] == 6]
+    field = detector.field
+    assert (len(z) == 0) == (field.r_max < 2060)
+    assert np.abs(z).max(initial=0) <= min(field.z_max, 2350)
+    assert len(z) == 0 or np.abs(z).max() > 0.95 * min(field.z_max, 2350)
+
+
+def test_wires_outside_of_the_field_are_named() -> None:
+    """Wires that leave the range of the field are named up to where they are in it; many lines are one."""
+    detector = cg.load("idea-like").with_field({"kind": "harmonic", "bz": "2 T", "b": "1e-4 /m2", "z_max": "1.9 m"})
+    last = detector.drift_chamber.layers[-1].number
+    assert describe(detector)["unreachable"][0].startswith("layer.WRAP1, 112 more, drift_chamber.layers.")
+    assert f"drift_chamber.layers.{last}: no track" in describe(detector)["unreachable"][0]
+    assert describe(cg.load("besiii-cgem").with_field("besiii"))["unreachable"] == []
+    wire = next(one for one in cg.load("besiii-idc").drift_chamber.layers if one.number == 24)
+    radius = 0.5 * (wire.r_mid + wire.r_end)
+    limits = {"kind": "harmonic", "bz": "-1 T", "b": "1e-4 /m2", "r_max": f"{radius} mm"}
+    stereo = cg.load("besiii-idc").with_field(limits)
+    text = next(one for one in describe(stereo)["unreachable"] if f"layers.{wire.number}:" in one)
+    z = float(text.split("above ")[1].split(" mm")[0])
+    assert wire.radius_at(z) == pytest.approx(radius, abs=0.01)
+
+
+@pytest.mark.parametrize("name", list(cg.detectors()))
+def test_presets_are_reached_everywhere(name: str) -> None:
+    assert describe(cg.load(name))["unreachable"] == []

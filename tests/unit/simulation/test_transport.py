@@ -1124,3 +1124,46 @@ def test_slopes_whose_squares_are_infinite(particle: str, decays: bool) -> None:
             isa.use(before)
         assert found.particles["status"].tolist() == 3 * [int(TransportStatus.end)]
         assert len(found.truths) == len(found.wire_truths) == 0
+
+
+def thin_barrel(density: str, thickness: str, efficiency: float = 1.0) -> Detector:
+    """Return six layers of hardly any matter around a beam pipe."""
+    layer = {"length": "3 m", "sigma": "30 um", "thickness": thickness, "material": "Thin", "efficiency": efficiency}
+    return load(
+        {
+            "name": "thin",
+            "field": {"kind": "uniform", "bz": "1.3 T"},
+            "beam_pipe": {"pipe": {"r_in": "25 mm", "r_out": "27 mm", "half_length": "2 m", "material": "Be"}},
+            "layer": {f"L{r}": layer | {"radius": f"{r} mm"} for r in (40, 80, 160, 320, 480, 640)},
+            "materials": {"Thin": {"density": density, "composition": "N2", "gas": True}},
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("density", "thickness", "pdg", "p", "idle"),
+    [("1e-6 g/cm3", "1 um", 13, 1.0, 0.3), ("1e-6 g/cm3", "1 mm", 2212, 0.9, 0.1), ("1e-4 g/cm3", "1 um", 11, 1.0, 0)],
+)
+def test_a_crossing_is_a_hit_whatever_it_deposits(density, thickness, pdg, p, idle, kernels):
+    """Sensors in which many particles deposit nothing have one crossing of each particle, in later half turns, too."""
+    detector, n = thin_barrel(density, thickness), 300
+    columns = particles(np.zeros((n, 3)), np.tile([p, 0.0, 0.3 * p], (n, 1)), pdg)
+    found = simulate(detector, columns)["truths"]
+    np.testing.assert_array_equal(np.bincount(found["layer"]), np.full(6, n))
+    assert (found["energy"] == 0).mean() >= idle
+    slow = particles(np.zeros((20, 3)), np.tile([0.05, 0.0, 0.01], (20, 1)), 13)
+    loops = simulate(detector, slow, SimulateSettings(half_turns=4, decays=False))["truths"]
+    # The pipe takes so much energy that the third and fourth half turns reach a layer less.
+    assert np.bincount(loops["half_turn"]).tolist() == [60, 60, 40, 40]
+
+
+def test_the_efficiency_alone_decides_about_the_hit():
+    """In sensors without deposits the share of crossings that are measured is the layer's efficiency, as expected."""
+    n = 2000
+    for efficiency in (1.0, 0.8):
+        detector = thin_barrel("1e-6 g/cm3", "1 um", efficiency)
+        result = run.run(detector, Gun("mu-", p=1.0, cos_theta=0.3), n=n, seed=3, workers=1, until="digitize")
+        found = np.bincount(result.digis["layer"]) / (2 * n)
+        np.testing.assert_allclose(found, efficiency, rtol=0, atol=4 * math.sqrt(efficiency * (1 - efficiency) / n))
+    expected = cg.analytic(detector, "mu-", p=1.0, cos_theta=0.3, threads=1)
+    assert float(expected.n_clusters) == pytest.approx(2 * 6 * efficiency, rel=0.1)

@@ -10,6 +10,7 @@
 #include "detector/strip_plane.hpp"
 #include "kalman/tracer.hpp"
 #include "motion/cells.hpp"
+#include "motion/reach.hpp"
 #include "motion/uniform.hpp"
 #include "reconstruction/find/event_hits.hpp"
 
@@ -33,7 +34,7 @@ class NearbyHits {
     cells_.emplace(detector_, steps_);  // anew: it counts azimuths from one layer to the next
     window_ = wide ? 25 : 8;
     beside_ = wide ? 2 : 1;
-    inside_ = true;
+    reach_ = {};
     next_ = 0;
     layer_ = 0;
     group_.slots = {};
@@ -43,8 +44,8 @@ class NearbyHits {
 
   void reaches(GroupStep& step, const Slab& slab, const HelixPoint& at, bool reached) {
     step.first = step.last = next_;
-    if (slab.ends && reached && std::abs(at.z) > slab.half_length) inside_ = false;
-    if (slab.gap < 0 || !reached || !inside_) return;
+    if (reached && std::abs(at.z) > slab.half_length) reach_.miss(detector_, slab, at, true, false);
+    if (slab.gap < 0 || !reached || !reach_.parts) return;
     const auto index = static_cast<std::size_t>(slab.gap);
     const MeasuringLayer& layer = detector_.layers[index];
     if (std::abs(at.z) > layer.half_length + 2 * window_) return;
@@ -75,7 +76,7 @@ class NearbyHits {
   CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPoint& at, bool alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
-    if (!alive || !inside_ || at.outward() < 0) return;
+    if (!alive || !reach_.chamber || at.outward() < 0) return;
     const WireLayer& layer = detector_.wires[index];
     CellRange<double, HelixPoint> range;
     // Not met are layers below the closest approach and those that the track does not reach.
@@ -147,7 +148,7 @@ class NearbyHits {
   double window_ = 0;  // mm, about the reference
   double beside_ = 0;  // cells beside those that the reference crosses
   bool taken_ = false;
-  bool inside_ = true;  // so far between the end plates
+  Reach<double> reach_;
   std::size_t layer_ = 0;
   std::int32_t next_ = 0;
 };

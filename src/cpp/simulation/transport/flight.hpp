@@ -8,6 +8,7 @@
 
 #include "common/compiler.hpp"
 #include "motion/cells.hpp"
+#include "motion/reach.hpp"
 #include "simulation/transport/records.hpp"
 #include "simulation/transport/slab_draws.hpp"
 #include "simulation/transport/start.hpp"
@@ -180,11 +181,10 @@ class Flight {
   // Scattering and energy loss at the slab's centroid, where the points are.
   CGEMIT_FLATTEN void cross(const Slab& slab, const Mask& arrived) {
     Mask within = arrived & (abs(point_.z) <= slab.half_length);
+    within_ = within;
     deposit_ = T(0.0);  // stays 0 beyond the ends
-    if (slab.ends) {
-      ended_ = ended_ | (arrived & !within);
-      flying_ = flying_ & !ended_;
-    }
+    if (const Mask missed = arrived & !within; any(missed)) miss(slab, missed);
+    if (slab.filler == Filler::chamber_gas) within = within & reach_.chamber;
     if (!any(within)) return;
     const T whole =
         path_factor(slab, sec_lambda_, abs(point_.outward())) * foil_fraction(slab, point_, stream_, within);
@@ -211,6 +211,14 @@ class Flight {
     motion_.bend(point_, charge_ * sec_lambda_ * now_.per_p, acts);
   }
 
+  // Ends the flight of lanes that are beyond an end of a slab and have no part ahead.
+  CGEMIT_NOINLINE void miss(const Slab& slab, const Mask& who) {
+    const bool back = settings_.half_turns > 1 || any(who & (point_.outward() < 0.0));
+    reach_.miss(detector_, slab, point_, who, back);
+    ended_ = ended_ | (who & !reach_.parts);
+    flying_ = flying_ & !ended_;
+  }
+
   LossDraw<T> lose(const Slab& slab, const T& path) const {
     if (settings_.fluctuations == Fluctuations::full) return draw_loss(slab, path, now_, stream_, slab.place);
     return draw_core_loss(core_loss(slab, path, now_, track_),
@@ -226,7 +234,8 @@ class Flight {
     }
   }
 
-  // A drift gap: entry, middle and exit lie on one track; then the gas acts at the middle.
+  // A drift gap or a sensor: entry, middle and exit lie on one track; then the matter acts at the middle. The
+  // crossing counts whatever it deposits: the efficiency of the layer and its readout decide about the hit.
   void cross_gap(const Slab& slab, const Mask& who) {
     const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(slab.gap)];
     Point entry = point_;
@@ -241,16 +250,16 @@ class Flight {
     gaps_.push_back({&slab, Mask(false), entry, point_, exit, now_, path, time_, T(0.0), motion_.bz(entry)});
     cross(slab, arrived);
     gaps_.back().deposit = deposit_;
-    gaps_.back().filled = arrived & enters & leaves & (deposit_ > 0.0);
+    gaps_.back().filled = arrived & enters & leaves & within_;
   }
 
   // A track that turns back below a slab may still pass the next wires, until it turns back below those.
   // Returns the lanes that reach the layer.
   CGEMIT_FLATTEN Mask pass_cells(std::size_t index, const Mask& who) {
     CellRange<T, Point> range;
-    const Mask found = cell_finder_.find(index, point_, who, range);
+    const Mask inside = who & reach_.chamber, found = cell_finder_.find(index, point_, inside, range);
     stop_at_edge(cell_finder_.left());
-    flying_ = flying_ & !(who & !found & curled_);
+    flying_ = flying_ & !(inside & !found & curled_);
     for (Mask left = found; any(left); left = left & (range.first <= range.last)) {
       record_cell(detector_.wires[index], left, range);
       range.first += T(1.0);
@@ -286,6 +295,8 @@ class Flight {
   TrackMatterOf<T> track_;
   CellFinder<T, Motion> cell_finder_;
   Mask flying_, stopped_{false}, ended_{false}, left_{false}, decayed_{false};
+  Reach<T> reach_;
+  Mask within_{false};  // lanes between the ends of the slab that was crossed last
   Mask curled_{false};  // past the outermost point: no cylinder lies ahead
   std::vector<GapRecord<T>>& gaps_;
   std::vector<CellRecord<T>>& cells_;

@@ -45,7 +45,8 @@ class LoopingFlight : public Flight<double, Motion> {
 
   using Base::ahead_, Base::arc_, Base::cells_, Base::curled_, Base::decayed_, Base::deposit_;
   using Base::detector_, Base::ended_, Base::flying_, Base::gaps_, Base::left_, Base::motion_, Base::now_;
-  using Base::point_, Base::sec_lambda_, Base::settings_, Base::stopped_, Base::stream_, Base::time_;
+  using Base::point_, Base::sec_lambda_, Base::settings_, Base::stopped_, Base::stream_, Base::time_,
+      Base::within_;
 
   bool has_ended() const { return decayed_ || stopped_ || ended_ || left_; }
 
@@ -127,7 +128,7 @@ class LoopingFlight : public Flight<double, Motion> {
     gaps_.push_back({&slab, false, entry, point_, exit, now_, path, time_, 0.0, motion_.bz(exit)});
     this->cross(slab, true);
     gaps_.back().deposit = deposit_;
-    gaps_.back().filled = whole && deposit_ > 0;
+    gaps_.back().filled = whole && within_;
   }
 
   // The cells between two surfaces on the path that ends here. They are found by following the path back in
