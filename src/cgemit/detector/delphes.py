@@ -231,8 +231,9 @@ def _written(detector: Contents) -> Iterator[Row]:
             yield _row(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
     chamber = detector.drift_chamber
     begin = chamber.layers[0].r_mid if chamber else 0.0
-    parts = (*detector.beam_pipe, *detector.walls, *detector.cgem, *detector.layer)
-    before = max((part.r_out for part in parts if part.r_out < begin), default=0.0)
+    edges = [part.r_out for part in (*detector.beam_pipe, *detector.walls)]
+    edges += [layer.r_out for layer in detector.cgem] + [layer.r_out for layer in detector.layer]
+    before = max((edge for edge in edges if edge < begin), default=0.0)
     for wires in chamber.layers if chamber else ():
         width = min(wires.r_mid - before, 4 * math.pi * wires.r_mid / wires.cells)
         before = wires.r_mid

@@ -89,8 +89,8 @@ def inner_radius(detector: Detector) -> float:
 
 def gaps(detector: Detector) -> list[float]:
     """Return the free space inside and outside each measuring layer up to the next part, mm, from inside outward."""
-    matter = [layer for layer in detector.layer if not layer.views]
-    spans = [(part.r_in, part.r_out, False) for part in (*detector.beam_pipe, *detector.walls, *matter)]
+    spans = [(part.r_in, part.r_out, False) for part in (*detector.beam_pipe, *detector.walls)]
+    spans += [(layer.r_in, layer.r_out, False) for layer in detector.layer if not layer.views]
     spans += [(layer.r_in, layer.r_out, True) for layer in detector.layers]
     if detector.drift_chamber:
         first = detector.drift_chamber.layers[0]

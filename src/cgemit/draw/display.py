@@ -23,7 +23,7 @@ from cgemit.draw.event import (
     chamber_begin,
     draw_cluster_strips,
     line_widths,
-    matter_layers,
+    matter_parts,
     strip_line,
     view_of,
     wire_layers,
@@ -140,7 +140,7 @@ def _window(view: EventView) -> tuple[tuple[float, float], float]:
 
 
 def _transverse_detector(axes: Axes, detector: Detector) -> None:
-    for part in (*detector.beam_pipe, *detector.walls, *matter_layers(detector)):
+    for part in matter_parts(detector):
         width = max(part.r_out - part.r_in, 0.4)
         axes.add_patch(Wedge((0, 0), part.r_out, 0, 360, width=width, color=COLORS["matter"], lw=0))
     for layer in detector.layers:
@@ -159,7 +159,7 @@ def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
         corner = (-layer.half_length, layer.r_in)
         height = max(layer.r_out - layer.r_in, 0.8)
         axes.add_patch(Rectangle(corner, 2 * layer.half_length, height, color="#B7D5EF", lw=0))
-    for part in (*detector.beam_pipe, *detector.walls, *matter_layers(detector)):
+    for part in matter_parts(detector):
         corner = (-part.half_length, part.r_in)
         height = max(part.r_out - part.r_in, 0.8)
         axes.add_patch(Rectangle(corner, 2 * part.half_length, height, color=COLORS["matter"], lw=0))

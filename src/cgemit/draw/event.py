@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 
 from cgemit.chain.settings import fit_settings
 from cgemit.detector.core import strip_view
-from cgemit.detector.parts import CgemLayer, MeasurementLayer, crossing_z, v_of_strips
+from cgemit.detector.parts import CgemLayer, Cylinder, MeasurementLayer, crossing_z, v_of_strips
 from cgemit.draw.style import COLORS, plain, statistics_box
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
 from cgemit.particles.species import species
@@ -81,9 +81,9 @@ def chamber_begin(detector: Detector) -> float:
     return min((layer.r_mid for layer in wire_layers(detector)), default=np.inf)
 
 
-def matter_layers(detector: Detector) -> list[MeasurementLayer]:
-    """Return the layers that measure nothing, which are matter like walls."""
-    return [layer for layer in detector.layer if not layer.views]
+def matter_parts(detector: Detector) -> list[Cylinder | MeasurementLayer]:
+    """Return the cylinders that measure nothing: beam pipe, walls, and layers of matter alone."""
+    return [*detector.beam_pipe, *detector.walls, *(layer for layer in detector.layer if not layer.views)]
 
 
 def wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Array | float) -> tuple[Array, Array]:
@@ -251,9 +251,8 @@ def _ghosts(clusters: Table) -> npt.NDArray[np.bool_]:
 
 def _reach(detector: Detector) -> tuple[float, float]:
     wires = wire_layers(detector)
-    layers = [*detector.layers, *matter_layers(detector)]
-    r = [part.r_out for part in (*detector.beam_pipe, *detector.walls)] + [layer.r_out for layer in layers]
-    z = [layer.half_length for layer in layers] + [layer.half_length for layer in wires]
+    r = [part.r_out for part in matter_parts(detector)] + [layer.r_out for layer in detector.layers]
+    z = [layer.half_length for layer in detector.layers] + [layer.half_length for layer in wires]
     r += [layer.r_end for layer in wires]
     return max(r, default=_FALLBACK_SIZE), max(z, default=_FALLBACK_SIZE)
 
