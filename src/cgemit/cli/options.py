@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cgemit.base.progress import ProgressBar
     from cgemit.chain.settings import Settings
     from cgemit.detector import Detector
+    from cgemit.tables import Table
 
 
 #: What a gun takes for a quantity: one number, a uniform range, or values in turn.
@@ -583,9 +584,17 @@ def note(arguments: argparse.Namespace, text: str) -> None:
         say(text, sys.stderr)
 
 
+def mostly_unconstrained(tracks: Table) -> bool:
+    """Return whether most tracks do not measure their momentum."""
+    from cgemit.reconstruction.fit import FitStatus
+
+    unconstrained = int((tracks["status"] == FitStatus.unconstrained).sum())
+    return 2 * unconstrained > len(tracks)
+
+
 def warn_unmeasured(detector: Detector, momenta: str) -> None:
     """Write to stderr that a detector does not measure momenta; most often their unit was meant to be another one."""
-    text = f"cgemit: {detector.name} does not measure {momenta}: sigma(p)/p is above 1"
+    text = f"cgemit: {detector.name} does not measure {momenta}: sigma(p)/p is above 0.5"
     say(f"{text}; momenta without a unit are in GeV/c", sys.stderr)
 
 

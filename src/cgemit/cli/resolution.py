@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from typing import TYPE_CHECKING
 
 from cgemit.cli import options
@@ -104,15 +105,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _unmeasured(scan: Scan | AnalyticScan) -> str:
-    """Return the momenta asked for at which sigma(p)/p is above 1, where core widths of p no longer grow with it."""
-    from cgemit.analysis.quantities import median_error
+    """Return the momenta asked for that are not measured: expected, or of most tracks."""
     from cgemit.study.scan import AnalyticScan
 
     if isinstance(scan, AnalyticScan):
-        errors = list(scan.at("p_rel"))
+        lost = [math.isnan(p) and not math.isnan(dr) for p, dr in zip(scan.at("p"), scan.at("dr"), strict=True)]
     else:
-        errors = [median_error(one.tracks, "p_rel") for one in scan.samples]
-    momenta = ", ".join(f"{p:g}" for p, error in zip(scan.momenta, errors, strict=True) if error > 100)
+        lost = [options.mostly_unconstrained(one.tracks) for one in scan.samples]
+    momenta = ", ".join(f"{p:g}" for p, one in zip(scan.momenta, lost, strict=True) if one)
     return f"{momenta} GeV/c" if momenta else ""
 
 

@@ -180,7 +180,6 @@ def _source(arguments: argparse.Namespace) -> Any:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and write its tables."""
-    from cgemit.analysis.quantities import median_error
     from cgemit.base.files import SUMMARY, new_folder
     from cgemit.chain.run import Output
     from cgemit.chain.run import run as run_chain
@@ -203,7 +202,7 @@ def run(arguments: argparse.Namespace) -> int:
         summary, text = _summary(result), repr(result)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     options.say(json.dumps(summary, indent=2) if arguments.json else text)
-    if fits and arguments.keep is None and median_error(result.tracks, "p_rel") > 100:
+    if fits and arguments.keep is None and options.mostly_unconstrained(result.tables["tracks"]):
         options.warn_unmeasured(detector, "most of the momenta")
     options.note(arguments, f"tables: {arguments.output}{'' if fits else ' (nothing was fitted: --fit does)'}")
     return 0
