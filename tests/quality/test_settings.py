@@ -27,7 +27,7 @@ STRUCTS = [
         FindSettings,
         {"segments": "method", "chamber": "method", "mass": "hypothesis"} | {"least_width": None, "delta_strips": None},
     ),
-    ("SimulateSettings", "simulation/transport/simulate.hpp", SimulateSettings, {}),
+    ("SimulateSettings", "simulation/transport/simulate.hpp", SimulateSettings, {"interrupted": None}),
     ("BinaryReadout", "simulation/digitize/binary.hpp", BinaryReadout, {"w_values": None}),
     (
         "GaussianReadout",

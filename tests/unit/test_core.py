@@ -57,6 +57,7 @@ def test_calls_of_all_functions_that_take_numbers_are_recorded(calls: dict[str, 
         "lanes",
         "processor_runs",
         "same_surfaces",
+        "stop_stages",
         "use_kernels",
         "use_scalar_kernels",
     }

@@ -23,7 +23,6 @@ from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_gr
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import InTurn, check_numbers
 from cgemit.base.version import __version__
-from cgemit.chain.match import is_fitted
 from cgemit.chain.record import gun_data, record, write_record
 from cgemit.chain.settings import FinderLike, Settings, hits_text
 from cgemit.covariance.analytic import analytic
@@ -538,11 +537,13 @@ class Scan(ScanBase):
 
 
 def _failed(sample: Sample) -> int:
-    return len(sample.tracks) - int(np.count_nonzero(is_fitted(sample.tracks)))
+    """Return how many tracks the fit lost."""
+    lost = FitStatus.__members__.keys() - {FitStatus.unconstrained.name}
+    return sum(number for name, number in sample.removed.items() if name in lost)
 
 
 def _unconstrained(sample: Sample) -> int:
-    return int(np.count_nonzero(sample.tracks["status"] == FitStatus.unconstrained))
+    return sample.removed.get(FitStatus.unconstrained.name, 0)
 
 
 def _momenta(samples: Sequence[Sample]) -> str:

@@ -415,6 +415,8 @@ _ENDLESS = float(np.iinfo(np.int64).max)
 _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         **dict.fromkeys(("err", "sigma", "mass", "r", "path", "chi2", "purity", "efficiency"), (0.0, np.inf)),
+        **dict.fromkeys(("other_chi2", "other_distance"), (0.0, np.inf)),
+        "matches.match": (0, 5),
         **dict.fromkeys(("truths.energy", "steps.energy", "err_start_time", "err_mass"), (0.0, np.inf)),
         **{f"err_{name}": (0.0, np.inf) for name in (*PARAMETERS, "x", "y", "z", "v", "phi")},
         **dict.fromkeys(("sheet", "size", "secondaries", "daughter", "parent", "mode"), (0, _ENDLESS)),
@@ -444,6 +446,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 #: Columns that are NaN where there is no number, whatever the status of the row.
 _MAY_BE_NAN = frozenset(
     {"digis.position", "drift_time", "err_start_time", "states.residual", "states.err", "states.pull"}
+    | {"vertices.other_chi2", "vertices.other_distance"}
     | {f"{table}.{one.name}" for table in ("clusters", "refined_clusters") for one in _CLUSTERS if "NaN" in one.doc}
     | {f"{table}.{name}" for table in ("clusters", "refined_clusters") for name in ("charge", "time")}  # of other files
     | {f"matches.{column.name}" for column in MATCHES}

@@ -17,6 +17,7 @@ from cgemit.base.settings import SettingsData, SettingsError
 from cgemit.base.validate import NO, Positive, expected, kinds_of, matcher, one_of
 from cgemit.chain.settings import Settings
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
+from cgemit.reconstruction.find.ckf import FindSettings
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.refine import RefineSettings
 from cgemit.reconstruction.states import SurfaceName
@@ -32,10 +33,11 @@ CHANGED = Settings(
     simulate=SimulateSettings(sublayers=True, foil="lattice", screening="moliere", deltas=False, steps=True),
     digitize=DigitizeSettings(reveal_sides=True),
     cluster=ClusterSettings(position="charge", reference_p=0.1 + 0.2, reference_cos_theta=1 / 3),
+    find=FindSettings(momentum=0.25),
     fit=FitSettings(
-        cluster_errors="cluster", screening="moliere", loss="most_probable", momentum_error=0.002, residuals=True,
-        states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07, least_width=2,
-        delta_strips=0.0, kinks=False, outlier_pull=0, prior_sigma=(1, 2, 3, 4, 1 / 7),
+        momentum=0.7, cluster_errors="cluster", screening="moliere", loss="most_probable", momentum_error=0.002,
+        residuals=True, states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07,
+        least_width=2, delta_strips=0.0, kinks=False, outlier_pull=0, prior_sigma=(1, 2, 3, 4, 1 / 7),
     ),
     refine=RefineSettings(start_time="fitted", start_time_error=2.5, find_again=False),
 )  # fmt: skip

@@ -81,6 +81,21 @@ def _keys(sample: Measurements) -> Ints:
     return np.asarray((2 * sample.truth + sample.view) * (1 << 20) + sample.first)
 
 
+def inside_of_sheet(detector: Detector, sample: Measurements) -> npt.NDArray[np.bool_]:
+    """Return which clusters have strips of their sheet on both sides, as has their crossing's X, (clusters,) bool.
+
+    V shares the charge of X, and its error with the charge that X has lost.
+
+    Parameters
+    ----------
+    detector : Detector
+    sample : Measurements
+    """
+    strips = np.array([(layer.strips_x, layer.strips_v) for layer in detector.cgem])[sample.layer, sample.view]
+    inside = (sample.first > 0) & (sample.first + sample.size < strips)
+    return np.asarray(inside & ~np.isin(sample.truth, sample.truth[~inside & (sample.view == 0)]))
+
+
 def lorentz_slopes(detector: Detector, lorentz: bool) -> Floats:
     """Return what the Lorentz angle takes from the slopes of X and V at the anode, (layers, 2) float64.
 
@@ -251,7 +266,9 @@ def terms(
     of_track: bool,
     heights: ChipErrors | None,
 ) -> Terms:
-    """Return the terms of the clusters of true crossings.
+    """Return the terms of the clusters of true crossings that end inside of their sheets.
+
+    At the edge of a sheet charge is lost: errors there are no sum of terms (docs/methods/readout.md, Lost charge).
 
     Parameters
     ----------
@@ -275,14 +292,14 @@ def terms(
         return table, measurements(detector, table, truths, lorentz=clusterer.lorentz)
 
     directions = true_directions(detector, measured({}, None)[0], truths) if of_track else None
-    _, base = measured({}, directions)
-    order = np.argsort(_keys(base))
 
     def of(changed: dict[str, float]) -> Measurements:
-        _, other = measured(changed, directions)
-        return Measurements._make(values[np.argsort(_keys(other))] for values in other)
+        _, found = measured(changed, directions)
+        order = np.argsort(_keys(found))
+        order = order[inside_of_sheet(detector, found)[order]]
+        return Measurements._make(values[order] for values in found)
 
-    base = Measurements._make(values[order] for values in base)
+    base = of({})
     moved = (of({_HEIGHT: 1e-3}).residual - base.residual) / 1e-3
     # Negative where another part of a divided cluster has become that of the crossing.
     variances = {name: np.maximum(of({name: 1.0}).error ** 2 - base.error**2, 0.0) for name in _FACTORS}

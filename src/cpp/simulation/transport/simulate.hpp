@@ -24,7 +24,7 @@ struct SimulateSettings {
   bool steps;                // also the particle's own ionization clusters
   const DecayTable* decays;  // null: nothing decays
   int half_turns;            // most of a particle: from perigee to apex, or back; 1 to most_half_turns
-  Interrupted interrupted = never_interrupted;
+  Interrupted interrupted;
 };
 
 // One row per generated particle; all columns of one length.

@@ -454,7 +454,7 @@ def test_numbers_that_are_none(study, numbers):
 
 
 def test_all_wrong_numbers_of_a_study_at_once():
-    with pytest.raises(ValueError, match=r"\n  events: got 399, .* 400 to .*\n  seed: got -1, .*\n  threads: got 0, "):
+    with pytest.raises(ValueError, match=r"\n  events: got 399, .* 400 to .*\n  threads: got 0, .*\n  seed: got -1, "):
         reproduce(quick=True, events=399, seed=-1, threads=0)
 
 
