@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.tables import Table
+from cgemit.tables.check import refuse_wrong
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,12 +36,18 @@ def at_origin(particles: Table, bz: float) -> Floats:
     ndarray, (n, 5) float64
         dr mm, phi0 rad in (-pi, pi], kappa (GeV/c)^-1, dz mm, tanl.
 
+    Raises
+    ------
+    ValueError
+        If the table has wrong values.
+
     Examples
     --------
     >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=2, until="simulate")
     >>> cg.helix.at_origin(r.particles, bz=-1.0)[:, 2].round(6)  # kappa, 1/(GeV/c)
     array([-1., -1.])
     """
+    refuse_wrong("at_origin", particles=particles)
     px, py = particles["px"], particles["py"]
     pt = np.hypot(px, py)
     with np.errstate(divide="ignore", invalid="ignore"):

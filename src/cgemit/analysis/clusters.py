@@ -24,6 +24,7 @@ from cgemit.analysis.widths import GaussianFit, Resolution, gaussian_fit, measur
 from cgemit.chain.result import Result
 from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
+from cgemit.tables.check import refuse_wrong
 from cgemit.tables.show import Comparable, Shown, Tabular, with_error
 
 Floats = npt.NDArray[np.float64]
@@ -275,6 +276,11 @@ def delta_displacements(truths: Table, steps: Table) -> tuple[Floats, Floats]:
     rphi, z : ndarray, (n,) float64, mm
         Along the circumference and along the beam, without sign; 0 where there is no delta electron.
 
+    Raises
+    ------
+    ValueError
+        If a table has wrong values or links.
+
     Examples
     --------
     >>> result = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=200)
@@ -282,6 +288,7 @@ def delta_displacements(truths: Table, steps: Table) -> tuple[Floats, Floats]:
     >>> len(across) == len(result.truths), bool((across >= 0).all())
     (True, True)
     """
+    refuse_wrong("delta_displacements", truths=truths, steps=steps)
     largest = np.zeros((2, len(truths)))
     rows = np.flatnonzero(steps["parent"] != 0)
     link = steps["truth"][rows]

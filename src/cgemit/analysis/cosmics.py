@@ -13,6 +13,7 @@ from cgemit.analysis.widths import Resolution, measure
 from cgemit.chain.result import Result
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
+from cgemit.tables.check import refuse_wrong
 from cgemit.tables.show import Shown, Tabular, with_error
 
 Floats = npt.NDArray[np.float64]
@@ -97,7 +98,7 @@ def cosmics(given: Result | Table) -> Cosmics:
     Raises
     ------
     ValueError
-        If it holds no tracks, or no event has two halves.
+        If it holds no tracks or wrong values, or no event has two halves.
 
     Examples
     --------
@@ -109,6 +110,8 @@ def cosmics(given: Result | Table) -> Cosmics:
     tracks = given.tracks if isinstance(given, Result) else given
     if tracks is None or not isinstance(tracks, Table) or tracks.kind != "tracks":
         raise ValueError("cosmics: got no table of tracks, expected one, or a run that fits")
+    if tracks is given:
+        refuse_wrong("cosmics", tracks=tracks)
     upper, lower = _halves(tracks)
     if len(lower) < 2:
         raise ValueError(f"cosmics: got {len(lower)} events with an upward and a downward track, expected some")

@@ -6,6 +6,7 @@ import numpy as np
 
 from cgemit.chain.match import joined
 from cgemit.tables import Table
+from cgemit.tables.check import refuse_wrong
 
 _QUANTITIES = ("x", "y", "z", "mass")
 
@@ -23,7 +24,13 @@ def with_truth(vertices: Table, tracks: Table, matches: Table, particles: Table)
     Table of kind "vertices"
         With the columns `truth_`, `res_` and `pull_` of x, y, z (mm) and mass (GeV/c2); NaN where the two tracks are
         not of two particles from one point. The mass is that of the true momenta with the particles' own masses.
+
+    Raises
+    ------
+    ValueError
+        If a table has wrong values or links.
     """
+    refuse_wrong("with_truth", vertices=vertices, tracks=tracks, matches=matches, particles=particles)
     tracks = tracks if "truth_dr" in tracks else joined(tracks, matches)
     rows = [_particle_rows(tracks, particles, vertices[name]) for name in ("first", "second")]
     known = (rows[0] >= 0) & (rows[1] >= 0) & (rows[0] != rows[1])

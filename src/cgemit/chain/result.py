@@ -18,6 +18,7 @@ from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.find.ckf import BEYOND
 from cgemit.simulation.transport import transport_counts
 from cgemit.tables import SCHEMAS, Table, select_events
+from cgemit.tables.check import refuse_wrong
 from cgemit.tables.formats import check_format
 from cgemit.tables.store import StoredTables, about_of, column_of, write_tables
 from cgemit.tables.table import what
@@ -421,7 +422,7 @@ def tracks_of(given: Result | Table) -> Table:
     TypeError
         If it is neither a result nor a table.
     ValueError
-        If it is a table of another kind, or a result without tracks.
+        If it is a table of another kind or with wrong values, or a result without tracks.
     """
     if isinstance(given, Result):
         if "tracks" not in given.tables:
@@ -431,4 +432,5 @@ def tracks_of(given: Result | Table) -> Table:
     if not isinstance(given, Table) or given.kind != "tracks":
         kind = ValueError if isinstance(given, Table) else TypeError
         raise kind(f"tracks: got {what(given)}, expected a table of kind 'tracks', or a Result")
+    refuse_wrong("tracks", ignore=("cov",), tracks=given)
     return given

@@ -57,7 +57,7 @@ def table_problems(channels: Channels | None = None, /, ignore: Collection[str] 
     channels : Channels or None
         Of the detector to which the layers belong.
     ignore : collection of str
-        Columns whose rows and channels need not be there, since nobody reads them: links, `particle`, `gid`.
+        Columns that nobody reads: `cov`, and links, `particle`, `gid`, whose rows and channels need not be there.
     **tables : Table
         By their kind.
     """
@@ -66,14 +66,38 @@ def table_problems(channels: Channels | None = None, /, ignore: Collection[str] 
     return problems or [one for table in given.values() for one in _problems(table, given, channels, ignore)]
 
 
+def refuse_wrong(function: str, /, ignore: Collection[str] = (), **tables: object) -> None:
+    """Raise an error that lists what is wrong with the tables given to a function (`table_problems`).
+
+    Parameters
+    ----------
+    function : str
+        Its name.
+    ignore : collection of str
+    **tables : Table
+        By their kind.
+
+    Raises
+    ------
+    ValueError
+        If something is.
+    """
+    problems = table_problems(None, ignore, **tables)
+    if problems:
+        raise ValueError(f"{function}:\n  " + "\n  ".join(problems))
+
+
 def _problems(table: Table, tables: dict[str, Table], channels: Channels | None, ignore: Collection[str]) -> list[str]:
     if not len(table):
         return []
     counts = table["status"] == 0 if table.kind in FITTED else None
     problems = []
-    for column in SCHEMAS[table.kind][1:]:
+    columns = [(table.kind, column) for column in SCHEMAS[table.kind][1:]]
+    if table.kind == "tracks":  # joined with their matches
+        columns += [("matches", column) for column in SCHEMAS["matches"][2:] if column.name in table]
+    for kind, column in columns:
         values = table[column.name]
-        low, high, may_be_nan = range_of(table.kind, column)
+        low, high, may_be_nan = range_of(kind, column)
         if not (values.min() >= low and values.max() <= high):  # NaN fails, too
             wrong = ~((values >= low) & (values <= high))
             if may_be_nan:
@@ -84,7 +108,7 @@ def _problems(table: Table, tables: dict[str, Table], channels: Channels | None,
             problems += _noted(table, column.name, wrong, _expected(column, low, high, may_be_nan=may_be_nan))
     if problems:  # the others rely on numbers in their ranges
         return problems
-    if "cov" in table:
+    if "cov" in table and "cov" not in ignore:
         problems += _noted(table, "cov", _no_covariance(table["cov"], counts), "a symmetric, positive matrix")
     if table.kind in ("clusters", "refined_clusters"):
         problems += _cluster_problems(table)

@@ -139,7 +139,12 @@ MATCHES = (
     link("track", "the track", "tracks"),
     whole("particle", "number of the particle that left most hits, with its daughters; -1 none"),
     column_of("i1", "match", "", "class of the track (MatchStatus; 0 is the one that measures its particle)"),
-    column_of("i1", "half_turn", "", "half turn of most hits that the particle left itself; 0 without any"),
+    column_of(
+        "i1",
+        "half_turn",
+        "",
+        "half turn of most hits that the particle left itself (truths.half_turn, from -1); 0 without any",
+    ),
     real("purity", "", "share of the candidate's hits that the particle left itself; NaN without hits"),
     real(
         "efficiency",

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.vertices import with_truth
+from cgemit.chain.match import joined
 from cgemit.detector.channels import channels_of
 from cgemit.reconstruction.find import by_truth, link_loops
 from cgemit.reconstruction.vertex import begin_at_vertices
@@ -89,6 +91,21 @@ FUNCTIONS: dict[str, tuple[Callable[[Tables], object], tuple[str, ...]]] = {
         ("candidates", "tracks", "vertices"),
     ),
     "link_loops": (lambda t: link_loops(t["tracks"], -1.0), ("tracks",)),
+    "resolution": (lambda t: cg.resolution(joined(t["tracks"], t["matches"]), "dr"), ("tracks",)),
+    "pulls": (lambda t: cg.study.pulls(joined(t["tracks"], t["matches"])), ("tracks",)),
+    "resolution_against": (
+        lambda t: cg.study.resolution_against(joined(t["tracks"], t["matches"]), "p", "cos_theta", bins=2), ("tracks",)
+    ),
+    "chi2_probability": (lambda t: cg.study.chi2_probability(t["tracks"]), ("tracks",)),
+    "cosmics": (lambda t: cg.study.cosmics(t["tracks"]), ("tracks",)),
+    "with_truth": (
+        lambda t: with_truth(t["vertices"], t["tracks"], t["matches"], t["particles"]),
+        ("vertices", "tracks", "particles"),
+    ),
+    "delta_displacements": (
+        lambda t: cg.study.delta_displacements(t["truths"], t["steps"]), ("truths", "steps")
+    ),
+    "at_origin": (lambda t: cg.helix.at_origin(t["particles"], -1.0), ("particles",)),
 }  # fmt: skip
 
 #: Whole numbers of either sign; -1 crossings are an unknown number of them.
@@ -154,6 +171,16 @@ def test_values_that_are_none_are_refused_with_row_and_column(function: str, kin
             else:
                 silent.append((column.name, value, "accepted"))
     assert silent == []
+
+
+def test_residuals_that_are_no_measurements_are_refused() -> None:
+    tracks = joined(tables()["tracks"], tables()["matches"])
+    residual = tracks["res_dr"].copy()
+    residual[1] = 1e300
+    with pytest.raises(ValueError, match=r"tracks row 1: res_dr: got 1e\+300, expected a number from .* or NaN"):
+        cg.resolution(tracks.with_columns(res_dr=residual), "dr")
+    residual[1] = np.nan  # of a track without a particle
+    assert dict(cg.resolution(tracks.with_columns(res_dr=residual), "dr").removed)["without a value"] == 1
 
 
 LINKS = [
