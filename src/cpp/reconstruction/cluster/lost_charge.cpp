@@ -14,8 +14,8 @@ constexpr double beyond = 2;  // widths of the charge by which a position may li
 constexpr double steps_of_width = 5, nodes_of_width = 1.25;
 constexpr int steps_between = 8;
 
-double below(double x) { return 0.5 * std::erfc(-x * 0.70710678118654752440); }
-double density(double x) { return 0.39894228040143267794 * std::exp(-0.5 * x * x); }
+double normal_below(double x) { return 0.5 * std::erfc(-x * 0.70710678118654752440); }
+double normal_density(double x) { return 0.39894228040143267794 * std::exp(-0.5 * x * x); }
 
 // Of one Gaussian of the charge: shares of the strips, and of the sheet.
 struct Part {
@@ -28,32 +28,32 @@ Part part_at(double centre, const SeenStrips& strips, const ChargeProfile& profi
   const double sigma = profile.sigma, pitch = strips.pitch;
   const double first = strips.middles.front() - 0.5 * pitch, last = strips.middles.back() + 0.5 * pitch;
   const double before = (first - centre) / sigma, after = (last - centre) / sigma;
-  const double up_to_first = below(before);
+  const double up_to_first = normal_below(before);
   Part part{};
   double end_before = first, up_to = up_to_first;
   for (const double middle : strips.middles) {
     const double low = middle - 0.5 * pitch, high = middle + 0.5 * pitch;
     const bool behind_hole = low > end_before + 0.5 * pitch;
-    const double from = behind_hole ? below((low - centre) / sigma) : up_to;
-    up_to = below((high - centre) / sigma);
+    const double from = behind_hole ? normal_below((low - centre) / sigma) : up_to;
+    up_to = normal_below((high - centre) / sigma);
     end_before = high;
     part.seen += up_to - from;
     part.moment += (up_to - from) * middle;
   }
-  part.silent[0] = up_to_first - below(before - pitch / sigma);
-  part.silent[1] = below(after + pitch / sigma) - up_to;
+  part.silent[0] = up_to_first - normal_below(before - pitch / sigma);
+  part.silent[1] = normal_below(after + pitch / sigma) - up_to;
   // Charge that is uneven leaves strips silent where it has none: it loses nothing there.
   if (profile.fluctuates && strips.silent_below) {
     part.seen += up_to_first;
-    part.moment += centre * up_to_first - sigma * density(before);
+    part.moment += centre * up_to_first - sigma * normal_density(before);
   }
   if (profile.fluctuates && strips.silent_above) {
-    part.seen += below(-after);
-    part.moment += centre * below(-after) + sigma * density(after);
+    part.seen += normal_below(-after);
+    part.moment += centre * normal_below(-after) + sigma * normal_density(after);
   }
   const double begin = (strips.edge_below - centre) / sigma, end = (strips.edge_above - centre) / sigma;
-  part.sheet = below(end) - below(begin);
-  part.beside = sigma * (density(begin) - density(end));
+  part.sheet = normal_below(end) - normal_below(begin);
+  part.beside = sigma * (normal_density(begin) - normal_density(end));
   return part;
 }
 
@@ -135,7 +135,7 @@ double likelihood(const Expected& expected, const SeenStrips& strips, const Meas
     if (!says[side]) continue;
     const double charge = measured.charge * expected.silent[side] / seen;
     const double spread = std::sqrt(square(measured.noise) + measured.uneven * measured.charge * charge);
-    found += std::log(std::max(below((measured.threshold - charge) / spread), 1e-12));
+    found += std::log(std::max(normal_below((measured.threshold - charge) / spread), 1e-12));
   }
   return found;
 }
