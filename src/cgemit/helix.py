@@ -48,6 +48,10 @@ def at_origin(particles: Table, bz: float) -> Floats:
     array([-1., -1.])
     """
     refuse_wrong("at_origin", particles=particles)
+    return _at_origin(particles, bz)
+
+
+def _at_origin(particles: Table, bz: float) -> Floats:
     px, py = particles["px"], particles["py"]
     pt = np.hypot(px, py)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,7 +93,7 @@ def at_origin_in(particles: Table, field: _core.Field) -> Floats:
     >>> cg.helix.at_origin_in(r.particles, compiled(r.detector).field)[:, 2].round(6)  # kappa, 1/(GeV/c)
     array([-1., -1.])
     """
-    nominal = at_origin(particles, field.bz)
+    nominal = _at_origin(particles, field.bz)
     if field.is_uniform:
         return nominal
     px, py, pz = (particles[name] for name in ("px", "py", "pz"))
@@ -266,7 +270,10 @@ def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.Array
         raise ValueError(f"vertex: got shape {point.shape}, expected (3,) or {(*given.shape[:-1], 3)}")
     there, _ = change_pivot(given, np.zeros((*given.shape, 5)), np.zeros(3), point, bz)
     turn = np.remainder(there[..., 1] - given[..., 1] + np.pi, 2 * np.pi) - np.pi
-    outward = np.asarray(bz, np.float64) * given[..., 2] * turn < 0  # the azimuth changes by -s/R along the flight
+    field, phi0 = np.asarray(bz, np.float64), given[..., 1]
+    ahead = point[..., 1] * np.cos(phi0) - point[..., 0] * np.sin(phi0) > 0  # along a straight flight
+    # The azimuth changes by -s/R along the flight.
+    outward = np.where(field == 0, ahead, field * given[..., 2] * turn < 0)
     return np.where(outward, 1.0, -1.0) * np.hypot(point[..., 0], point[..., 1])
 
 

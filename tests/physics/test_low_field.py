@@ -10,6 +10,7 @@ import pytest
 import cgemit as cg
 from cgemit import _core
 from cgemit.detector import compiled, slabs, write_field_map
+from cgemit.reconstruction.vertex import begin_at_vertices
 from stats import assert_within
 
 FitStatus = cg.FitStatus
@@ -213,6 +214,16 @@ def test_vertices_without_a_field_have_no_mass():
     assert np.isnan(found["mass"]).all()
     pulls = found["x"] / found["err_x"]
     assert 0.7 < np.std(pulls) < 1.4
+    again = begin_at_vertices(result.detector, result.candidates, result.fitted, found)
+    assert (again["start_radius"] != 0).all()
+
+
+def test_particles_without_a_field_fly_outward_behind_the_closest_point():
+    """Along (-sin phi0, cos phi0): from (0, 20) the particle has left the beam line, from (0, -20) it comes to it."""
+    track = np.tile([0.0, 0.0, -1.0, 0.0, 0.5], (2, 1))
+    points = np.array([[0.0, 20.0, 10.0], [0.0, -20.0, -10.0]])
+    np.testing.assert_allclose(cg.helix.start_radius(track, points, bz=0.0), [20.0, -20.0])
+    np.testing.assert_allclose(cg.helix.start_radius(track, points, bz=-1e-4), [20.0, -20.0], rtol=1e-6)
 
 
 def test_maps_that_vanish(tmp_path):

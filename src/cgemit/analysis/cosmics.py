@@ -122,21 +122,23 @@ def cosmics(given: Result | Table) -> Cosmics:
     errors = np.sqrt(np.diagonal(cov + cov_other, axis1=1, axis2=2))
     p_error = np.hypot(helix.momentum_error(down, cov), helix.momentum_error(other, cov_other))
     error = dict(zip(_NAMES, [*errors.T, p_error], strict=True))
-    weak = np.any((tracks["status"] == FitStatus.unconstrained)[np.stack([lower, upper])], axis=0)
+    pairs = np.stack([lower, upper])
+    weak = {name: ~np.all(QUANTITIES[name].measured_by(tracks)[pairs], axis=0) for name in _NAMES}
     truth = one_track = None
     if "truth_dr" in tracks:
         rows = np.concatenate([lower, upper])
         known = np.isfinite(tracks["res_dr"][rows])
-        weak_half = np.tile(weak, 2)[known]
-        truth = {name: _width(name, tracks[f"res_{name}"][rows][known], weak_half) for name in _NAMES}
+        truth = {
+            name: _width(name, tracks[f"res_{name}"][rows][known], np.tile(weak[name], 2)[known]) for name in _NAMES
+        }
         true = np.stack([tracks[f"truth_{name}"][lower] for name in helix.PARAMETERS], axis=1)
         fine = np.isfinite(true).all(axis=1)
         apart = _differences(parameters, true).items()
-        one_track = {name: _width(name, value[fine], weak[fine]) for name, value in apart}
+        one_track = {name: _width(name, value[fine], weak[name][fine]) for name, value in apart}
     return Cosmics(
         len(lower),
-        {name: _width(name, value / np.sqrt(2), weak) for name, value in difference.items()},
-        {name: _width(name, value / error[name], weak, pull=True) for name, value in difference.items()},
+        {name: _width(name, value / np.sqrt(2), weak[name]) for name, value in difference.items()},
+        {name: _width(name, value / error[name], weak[name], pull=True) for name, value in difference.items()},
         truth, one_track, parameters, joint, chi2,
     )  # fmt: skip
 
@@ -182,9 +184,9 @@ def _combined(first: Floats, cov: Floats, second: Floats, cov_second: Floats) ->
 
 
 def _width(name: str, sample: Floats, weak: npt.NDArray[np.bool_], *, pull: bool = False) -> Resolution:
-    """Measure a sample in its quoted unit, or pulls; of momenta without those that are `weak`, not measured."""
+    """Measure a sample in its quoted unit, or pulls, without those that are `weak`, not measured."""
     known = QUANTITIES[name]
-    left_out = int(np.count_nonzero(weak)) if known.is_momentum else 0
+    left_out = int(np.count_nonzero(weak))
     removed = ((FitStatus.unconstrained.name, left_out),) if left_out else ()
     sample = sample[~weak] if left_out else sample
     factor, unit = (1.0, "") if pull else (known.factor, known.unit)

@@ -574,7 +574,7 @@ def mean_sine(cos_theta: CosTheta, power: float) -> float:
 
 
 def chi2_probability(tracks: Table | Result) -> Floats:
-    """Return the probability of a larger chi-square, (n,) float64, for the tracks whose fit ended well.
+    """Return the probability of a larger chi-square, (n,) float64, for fitted tracks, `unconstrained` ones included.
 
     It is uniform between 0 and 1 if the errors are right: Q(ndf/2, chi2/2), the regularised incomplete gamma
     function. Tracks without degrees of freedom have no probability and are left out.

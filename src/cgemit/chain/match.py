@@ -127,14 +127,16 @@ def _shared(detector: Detector, tables: Mapping[str, Table], best: Rows) -> Rows
     chosen = several[row] & (best[candidate] >= 0)
     candidate, row = candidate[chosen], row[chosen]
     own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
-    of_truth = np.where(own, particle_rows(tables["particles"], truths), -1)
+    owner = particle_rows(tables["particles"], truths)
+    of_truth = np.where(own, owner, -1)
     layers = len(detector.layers)
     key = of_truth * layers + truths["layer"]
     order = np.argsort(key, kind="stable")
     wanted = best[candidate] * layers + clusters["layer"][row]
     at = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
     link = clusters["truth"][row]
-    other = (key[at] == wanted) & (np.where(link >= 0, of_truth[link], -1) != best[candidate])
+    # Hits whose link leads to the particle, its daughters or other half turns are counted already.
+    other = (key[at] == wanted) & (np.where(link >= 0, owner[link], -1) != best[candidate])
     candidate, row, at = candidate[other], row[other], at[other]
     if len(row):
         covered = _covers(detector, clusters[row].with_columns(truth=at), truths)

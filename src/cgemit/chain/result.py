@@ -217,7 +217,10 @@ class Result:
         return {**self.tables, **({"tracks": self.tracks} if "tracks" in self.tables else {})}
 
     def removed(self) -> dict[str, int]:
-        """Count the tracks that resolutions leave out, by `FitStatus` and, of those that were fitted, `MatchStatus`."""
+        """Count the tracks that resolutions leave out, by `FitStatus` and, of those that were fitted, `MatchStatus`.
+
+        Those that are `unconstrained` are left out of momenta alone; they count as fitted elsewhere.
+        """
         if "tracks" not in self.tables:
             return {}
         match = column_of(self.tables, "matches", "match") if "matches" in self.tables else None

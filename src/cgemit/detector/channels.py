@@ -64,7 +64,8 @@ def checked(*names: str, ignore: Collection[str] = ()) -> Callable[[Callable[P, 
 
         @functools.wraps(function)
         def refusing(*args: P.args, **kwargs: P.kwargs) -> R:
-            given = signature.bind(*args, **kwargs).arguments
+            bound = signature.bind(*args, **kwargs)
+            given = bound.arguments
             tables = {name: given.get(name) for name in names if not (given.get(name) is None and name in optional)}
             channels = None
             if "detector" in given:
@@ -73,7 +74,7 @@ def checked(*names: str, ignore: Collection[str] = ()) -> Callable[[Callable[P, 
             problems = table_problems(channels, ignore, **tables)
             if problems:
                 raise ValueError(f"{function.__name__}:\n  " + "\n  ".join(problems))
-            return function(*args, **kwargs)
+            return function(*bound.args, **bound.kwargs)
 
         cast(Any, refusing).unchecked = function
         return cast(Checked[P, R], refusing)

@@ -253,7 +253,9 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     length = np.zeros((len(begins), int(place.max(initial=0)) + 1))
     length[row, place] = np.where(place > 0, arc * np.hypot(1.0, states["tanl"]), 0.0)
     along = np.cumsum(length, axis=1)[row, place]
-    known = tracks["status"] != _core.FitStatus.unconstrained
+    parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)
+    # Tracks may be unconstrained along z alone.
+    known = ~(helix.momentum_error(parameters, tracks["cov"]) > 0.5 * tracks["p"])
     p = np.where(known, tracks["p"], tracks.meta.get("momentum", USUAL_MOMENTUM))
     slowness = np.hypot(1.0, _masses(candidates, tracks) / p) / LIGHT
     return np.asarray(along * slowness[track], np.float64)

@@ -90,7 +90,7 @@ def refuse_wrong(function: str, /, ignore: Collection[str] = (), **tables: objec
 def _problems(table: Table, tables: dict[str, Table], channels: Channels | None, ignore: Collection[str]) -> list[str]:
     if not len(table):
         return []
-    counts = table["status"] == 0 if table.kind in FITTED else None
+    counts = np.isin(table["status"], FITTED[table.kind]) if table.kind in FITTED else None
     problems = []
     columns = [(table.kind, column) for column in SCHEMAS[table.kind][1:]]
     if table.kind == "tracks":  # joined with their matches

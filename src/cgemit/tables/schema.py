@@ -213,9 +213,9 @@ VERTICES = (
     *point("", "vertex"),
     Column("cov", np.dtype("f8"), "mm2", "covariance of x, y, z", shape=(3, 3)),
     *(real(f"err_{axis}", "mm", f"standard deviation of {axis}") for axis in "xyz"),
-    *momentum("momentum of the pair at the vertex"),
-    real("mass", "GeV/c2", "invariant mass of the pair"),
-    real("err_mass", "GeV/c2", "its standard deviation"),
+    *momentum("momentum of the pair at the vertex; NaN with an unconstrained track"),
+    real("mass", "GeV/c2", "invariant mass of the pair; NaN with an unconstrained track"),
+    real("err_mass", "GeV/c2", "its standard deviation; NaN with an unconstrained track"),
     real("chi2", "", "chi-square of the fit"),
     whole("ndf", "number of degrees of freedom"),
     real("other_chi2", "", "chi-square of a second vertex of the tracks that competes (less than 25 more); NaN: none"),
@@ -452,13 +452,19 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 _MAY_BE_NAN = frozenset(
     {"digis.position", "drift_time", "err_start_time", "states.residual", "states.err", "states.pull"}
     | {"vertices.other_chi2", "vertices.other_distance"}
+    | {f"vertices.{name}" for name in ("px", "py", "pz", "mass", "err_mass")}
     | {f"{table}.{one.name}" for table in ("clusters", "refined_clusters") for one in _CLUSTERS if "NaN" in one.doc}
     | {f"{table}.{name}" for table in ("clusters", "refined_clusters") for name in ("charge", "time")}  # of other files
     | {f"matches.{column.name}" for column in MATCHES}
 )
 
-#: Tables in which numbers count only where `status` is 0.
-FITTED = ("tracks", "states", "vertices", "start_times")
+#: Statuses of the rows whose numbers count, by table; in other tables all rows count.
+FITTED: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {
+        "tracks": (int(_core.FitStatus.ok), int(_core.FitStatus.unconstrained)),
+        **dict.fromkeys(("states", "vertices", "start_times"), (0,)),
+    }
+)
 
 #: Links that lead to a row; others are -1 where there is none.
 NEEDED_LINKS = frozenset(

@@ -194,7 +194,8 @@ def _core_settings(settings: FindSettings, fit: FitSettings, weak: bool) -> dict
     method, hypothesis = values.pop("method"), values.pop("hypothesis")
     return values | {
         "segments": method in ("combined", "segments"), "chamber": method != "segments",
-        "mass": HYPOTHESES[hypothesis].mass, "momentum": (settings.momentum or USUAL_MOMENTUM) if weak else 0.0,
+        "mass": HYPOTHESES[hypothesis].mass,
+        "momentum": (settings.momentum or fit.momentum or USUAL_MOMENTUM) if weak else 0.0,
         "least_width": fit.least_width, "delta_strips": fit.delta_strips,
     }  # fmt: skip
 

@@ -194,8 +194,8 @@ MatchOutput match_hits(const MatchInput& in) {
                   [&](std::int64_t key) { views.push_back(key); });
     }
     std::ranges::sort(views);
-    const auto repeated = std::ranges::unique(views);
-    out.crossings[candidate] += static_cast<std::int64_t>(views.size() - repeated.size());
+    views.erase(std::unique(views.begin(), views.end()), views.end());
+    out.crossings[candidate] += static_cast<std::int64_t>(views.size());
     out.half_turn[candidate] = most_common(turns);
   }
   return out;
