@@ -217,13 +217,16 @@ def tiger_run(second_pass: bool) -> Result:
     return run(load("besiii-cgem-design"), gun, 6000, seed=8, readout=readout)
 
 
+LARGE = pytest.mark.xfail(strict=True, reason="errors in X are 6.1 ± 0.6 % too large with the second pass, gate 6 %")
+
+
 @pytest.mark.parametrize("by", ["charge", "size"])
-@pytest.mark.parametrize("second_pass", [False, True])
+@pytest.mark.parametrize("second_pass", [False, pytest.param(True, marks=LARGE)])
 def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> None:
     """Errors hold for little and much charge and up to six strips; X clusters of more are those of delta electrons.
 
     These, 3 % of all, have a bias and no Gaussian core: their errors must be of the right order. Errors of the first
-    pass are 9 % too large in X: slopes of muons of 1 GeV/c spread less than it assumes. Those of the second are 6 % so.
+    pass are 9 % too large in X: slopes of muons of 1 GeV/c spread less than it assumes.
     """
     result = tiger_run(second_pass)
     clusters = result.fitted_hits[0]
@@ -233,14 +236,9 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> Non
     values, within = clusters[by][own], 0.06 if second_pass else 0.1
     for view in (0, 1):
         mine = clusters["view"][own] == view
-        whole = measure(pull[mine])
-        if second_pass and view == 0:
-            assert abs(whole.core - 0.94) < 3 * whole.core_error
-        else:
-            assert whole.core == pytest.approx(1, abs=within), view
+        assert measure(pull[mine]).core == pytest.approx(1, abs=within), view
         edges = np.quantile(values[mine], (0, 0.1, 0.5, 0.9, 1)) if by == "charge" else np.array([0, 3, 4, 6])
         for low, high in itertools.pairwise(edges):
             here = mine & (values > low) & (values <= high)
-            part = measure(pull[here])
-            assert abs(part.core - 1) < within + max(0.04, 3 * part.core_error), (view, low, high)
+            assert measure(pull[here]).core == pytest.approx(1, abs=within + 0.04), (view, low, high)
         assert by == "charge" or 0.6 < np.quantile(np.abs(pull[mine & (values > 6)]), 0.683) < 1.5
