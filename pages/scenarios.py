@@ -103,7 +103,7 @@ def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
     # The other track's event is another one, so that the cluster is copied.
     places = np.concatenate(taken)
     copies = {name: hits.clusters[name][row[places]] for name in hits.clusters}
-    clusters, old, new = _merged(hits.clusters, copies | {"event": hits.candidate_hits["event"][places]})
+    clusters, old, new = _with_clusters(hits.clusters, copies | {"event": hits.candidate_hits["event"][places]})
     kept = np.setdiff1d(np.flatnonzero(~hits.on_wire), places)
     row[kept], row[places] = old[row[kept]], new
     return replace(hits, candidate_hits=hits.candidate_hits.with_columns(row=row), clusters=clusters)
@@ -126,7 +126,7 @@ def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Ge
     wire_hits, old, new = _merged(spoilt.wire_hits, new_wires)
     row[spoilt.on_wire] = old[row[spoilt.on_wire]]
     row[wire] = new
-    clusters, old, new = _merged(spoilt.clusters, new_strips)
+    clusters, old, new = _with_clusters(spoilt.clusters, new_strips)
     row[~spoilt.on_wire] = old[row[~spoilt.on_wire]]
     row[strip] = new
     kept = np.ones(len(row), np.bool_)
@@ -159,8 +159,9 @@ def _strip_noise(detector: Detector, clusters: Table, rows: Rows, random: np.ran
     pitch, strips = (np.where(is_x, of_layer[:, i], of_layer[:, i + 2]) for i in (0, 1))
     shift = np.ceil(random.random(len(rows)) * 10.0 / pitch)
     shift *= np.where(random.random(len(rows)) < 0.5, 1, -1)
-    position = np.where(is_x, columns["x"], columns["v"]) / pitch + shift
-    shift *= np.where((position < 0) | (position > strips), -1, 1)
+    middle = np.where(is_x, columns["x"], columns["v"]) / pitch
+    first, last = (np.where(columns["size"] > 0, columns[name], middle) + shift for name in ("first", "last"))
+    shift *= np.where((first < 0) | (last >= strips), -1, 1)
     for name in ("first", "last"):
         columns[name] += np.where(columns["size"] > 0, shift, 0).astype(columns[name].dtype)
     columns["x"] += np.where(is_x, shift * pitch, 0.0)
@@ -177,6 +178,14 @@ def _merged(table: Table, extra: Columns) -> tuple[Table, Rows, Rows]:
     place[order] = np.arange(len(order))
     joined = {name: column[order] for name, column in columns.items()}
     return Table(table.kind, joined, **table.cover), place[: len(table)], place[len(table) :]
+
+
+def _with_clusters(clusters: Table, extra: Columns) -> tuple[Table, Rows, Rows]:
+    """Return the clusters with more of them, which belong to no crossing, and places as `_merged`."""
+    links = ("x_cluster", "v_cluster")
+    joined, old, new = _merged(clusters, extra | {name: np.full_like(extra[name], -1) for name in links})
+    moved = {name: np.where(joined[name] < 0, -1, old[joined[name]]) for name in links}
+    return joined.with_columns(**moved), old, new
 
 
 Spoil = Callable[[Detector, Hits, np.random.Generator], Hits]

@@ -153,7 +153,8 @@ def analytic(
         Whether wire hits tell their side. If not, hits close to their wire have the weights of the fit.
     fit : FitSettings or None
         Energy loss, screening, prior, and `least_width` and `delta_strips` of binary clusters, which always have the
-        errors of ``cluster_errors="track"``.
+        errors of ``cluster_errors="track"``. Matter acts at the momentum `p`, also where no field measures it: the
+        assumed `momentum` plays no part.
     samples : int or None
         Tracks that are averaged at each point, best a number without a common factor with the numbers of cells of the
         drift chamber. None: 127, or 1 if nothing varies.

@@ -129,8 +129,27 @@ def tables(changes: tuple[tuple[str, Any], ...], folder: str, until: Any) -> Map
     """Return the tables of a run with some settings changed."""
     overrides = {key: folder if value == FOLDER else value for key, value in changes}
     field = {key: overrides.pop(key) for key in WITHOUT_FIELD if key in overrides}
-    settings, detector = cg.Settings().with_overrides(overrides), DETECTOR.with_overrides(field) if field else DETECTOR
-    return dict(cg.run(detector, GUN, 10, 1, settings=settings, finder="ckf", until=until, workers=1).tables)
+    settings = cg.Settings().with_overrides(overrides)
+    return dict(cg.run(detector_in(field), GUN, 10, 1, settings=settings, finder="ckf", until=until, workers=1).tables)
+
+
+def field_of(case: Case) -> dict[str, Any]:
+    """Return what of the field gives a setting its meaning."""
+    return {key: value for key, value in case.given.items() if key in WITHOUT_FIELD}
+
+
+def detector_in(field: Mapping[str, Any]) -> cg.Detector:
+    """Return the detector with another field."""
+    return DETECTOR.with_overrides(field) if field else DETECTOR
+
+
+def hits_to_give(field: Mapping[str, Any], folder: str) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Return columns of clusters by their strips, and of wires with raw drift times, of tracks in a field."""
+    found = tables((("digitize.wire_times", "raw"), *field.items()), folder, "cluster")
+    strips = {name: found["clusters"][name] for name in ("event", "layer", "sheet", "view", "first", "last", "size")}
+    strips = {name: column[strips["view"] < 2] for name, column in strips.items()}
+    names = ("event", "layer", "wire", "drift", "sigma", "drift_time")
+    return strips, {name: found["wire_hits"][name] for name in names}
 
 
 def differ(one: Table | None, other: Table | None) -> bool:
@@ -263,10 +282,6 @@ def test_the_finder_assumes_matter_and_cluster_errors_of_the_fit(monkeypatch: py
 @pytest.mark.slow
 def test_settings_reach_the_fit_of_given_hits(folder: str) -> None:
     """`fit_hits` takes settings of the fit, refinements, cluster errors and finder; each changes what it makes."""
-    found = tables((("digitize.wire_times", "raw"),), folder, "cluster")
-    strips = {name: found["clusters"][name] for name in ("event", "layer", "sheet", "view", "first", "last", "size")}
-    strips = {name: column[strips["view"] < 2] for name, column in strips.items()}
-    wires = {name: found["wire_hits"][name] for name in ("event", "layer", "wire", "drift", "sigma", "drift_time")}
     own: dict[str, Mapping[str, Any]] = {
         "cluster": {"settings": cg.FitSettings(cluster_errors="cluster")},
         "refine.start_time_error": {"refine": cg.RefineSettings(drift_times="raw", start_time="fitted")},
@@ -281,13 +296,15 @@ def test_settings_reach_the_fit_of_given_hits(folder: str) -> None:
         stage, name = key.split(".")
         if stage not in kinds:
             continue
+        field = field_of(case)
+        strips, wires = hits_to_give(field, folder)
         how = dict(own.get(key, own.get(stage, {})))
         argument = "settings" if stage == "fit" else stage
         before = how.get(argument, kinds[stage]())
         if stage != "refine":
             how.setdefault("refine", cg.RefineSettings(drift_times="raw"))
         made = [
-            cg.fit_hits(DETECTOR, strips, wires, candidates="ckf", **how | {argument: one})
+            cg.fit_hits(detector_in(field), strips, wires, candidates="ckf", **how | {argument: one})
             for one in (before, replace(before, **{name: case.value}))
         ]
         if not any(differ(made[0].get(table), made[1].get(table)) for table in {*made[0], *made[1]}):
@@ -301,20 +318,22 @@ def test_find_settings_without_the_finder_are_refused() -> None:
 
 
 #: Settings of the fit that say nothing of the covariance: how a fit gets there, and what it makes beside it. Clusters
-#: have the errors of their size, and tracks a mass of their own.
+#: have the errors of their size, and tracks a mass and a momentum of their own.
 NOT_ANALYTIC = {
     *("cluster_errors", "residuals", "states", "hypothesis", "max_iterations", "tolerance", "kinks", "outlier_pull"),
+    "momentum",
 }
 
 
 @pytest.mark.slow
 def test_settings_of_the_fit_reach_the_analytic_resolution() -> None:
-    cases = {key.removeprefix("fit."): case.value for key, case in CASES.items() if key.startswith("fit.")}
+    cases = {key.removeprefix("fit."): case for key, case in CASES.items() if key.startswith("fit.")}
     unseen = set()
-    for name, value in cases.items():
+    for name, case in cases.items():
+        design = DESIGN.with_overrides(field) if (field := field_of(case)) else DESIGN
         covariances = [
-            cg.analytic(DESIGN, "e-", p=0.3, cos_theta=0.3, fit=fit, threads=1).cov.tobytes()
-            for fit in (cg.FitSettings(), cg.FitSettings(**{name: value}))
+            cg.analytic(design, "e-", p=0.3, cos_theta=0.3, fit=fit, threads=1).cov.tobytes()
+            for fit in (cg.FitSettings(), cg.FitSettings(**{name: case.value}))
         ]
         if covariances[0] == covariances[1]:
             unseen.add(name)

@@ -21,7 +21,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.analysis.widths import jackknife, without_groups
-from cgemit.base.files import OutputExistsError
+from cgemit.base.files import CONTENTS, OutputExistsError
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
@@ -573,7 +573,7 @@ def test_a_killed_sweep_ends_as_an_uninterrupted_one(serial: list[bytes], tmp_pa
     folder = tmp_path / "out"
     assert killed_until_complete(folder, "threads", [0.0, 0.2, 0.1]) > 0
     assert written(folder) == serial
-    assert sorted(path.name for path in folder.iterdir()) == ["chunks", *sorted(FILES)]
+    assert sorted(path.name for path in folder.iterdir()) == [CONTENTS, "chunks", *sorted(FILES)]
     assert not list((folder / "chunks").glob(".*"))
 
 
