@@ -8,14 +8,15 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
+from cgemit.units import GEV_PER_T_MM
 
 Floats = npt.NDArray[np.float64]
 
 #: Names of the parameters in the order of arrays.
 PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")
 
-#: mm T / (GeV/c): radius of curvature is RADIUS_PER_KAPPA / (B_z kappa). From the speed of light, exact.
-RADIUS_PER_KAPPA = 3335.6409519815204
+#: mm T / (GeV/c): radius of curvature is RADIUS_PER_KAPPA / (B_z kappa). Exact.
+RADIUS_PER_KAPPA = 1 / GEV_PER_T_MM
 
 
 def at_origin(particles: Table, bz: float) -> Floats:
@@ -67,7 +68,7 @@ def _at_origin(particles: Table, bz: float) -> Floats:
     # S^2 at the perigee is r^2 there: d = S + (change of S) follows from the circle, written without cancellation.
     reach = np.hypot(1 - w * sideways, w * outward)
     dr = (2 * sideways - w * (x * x + y * y)) / (1 + reach)
-    phi0 = _within_a_turn(np.arctan2(uy, ux) + theta - 0.5 * np.pi)
+    phi0 = wrap_angle(np.arctan2(uy, ux) + theta - 0.5 * np.pi)
     return np.stack([dr, phi0, kappa, particles["z"] + arc * tanl, tanl], axis=1)
 
 
@@ -107,14 +108,30 @@ def at_origin_in(particles: Table, field: _core.Field) -> Floats:
     sec_lambda = np.hypot(1, pz * per_pt)
     # p is conserved, pT is not.
     kappa = particles["charge"] * per_pt / sec_lambda * np.hypot(1, tanl)
-    phi0 = _within_a_turn(np.arctan2(-ux, uy))
+    phi0 = wrap_angle(np.arctan2(-ux, uy))
     parameters = np.stack([x * uy - y * ux, phi0, kappa, z, tanl], axis=1)
     return np.asarray(np.where((bent & (found == 1))[:, None], parameters, nominal))
 
 
-def _within_a_turn(angle: Floats) -> Floats:
-    """Return the same angles in (-pi, pi]."""
-    return -(np.remainder(-angle + np.pi, 2 * np.pi) - np.pi)
+def wrap_angle(angle: npt.ArrayLike) -> Floats:
+    """Return the same angles in (-pi, pi]; those that lie there already keep every bit.
+
+    Parameters
+    ----------
+    angle : array_like, rad
+
+    Returns
+    -------
+    ndarray, as `angle`, float64, rad
+
+    Examples
+    --------
+    >>> print(cg.helix.wrap_angle([0.1, 3.5, -np.pi]).round(3))  # rad
+    [ 0.1   -2.783  3.142]
+    """
+    angle = np.asarray(angle, np.float64)
+    wrapped = angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
+    return np.where(wrapped <= -np.pi, wrapped + 2 * np.pi, wrapped)
 
 
 def _parameters(given: npt.ArrayLike) -> Floats:
@@ -269,7 +286,7 @@ def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.Array
     if point.shape[-1:] != (3,) or point.ndim > given.ndim:
         raise ValueError(f"vertex: got shape {point.shape}, expected (3,) or {(*given.shape[:-1], 3)}")
     there, _ = change_pivot(given, np.zeros((*given.shape, 5)), np.zeros(3), point, bz)
-    turn = np.remainder(there[..., 1] - given[..., 1] + np.pi, 2 * np.pi) - np.pi
+    turn = wrap_angle(there[..., 1] - given[..., 1])
     field, phi0 = np.asarray(bz, np.float64), given[..., 1]
     ahead = point[..., 1] * np.cos(phi0) - point[..., 0] * np.sin(phi0) > 0  # along a straight flight
     # The azimuth changes by -s/R along the flight.
@@ -367,7 +384,7 @@ def to_perigee(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> tuple[Floats, F
     dr, phi0, kappa, dz, tanl = np.moveaxis(parameters, -1, 0)
     cos2 = 1 / (1 + tanl * tanl)
     cosine = np.sqrt(cos2)
-    phi = np.pi - np.remainder(0.5 * np.pi - phi0, 2 * np.pi)
+    phi = wrap_angle(phi0 + 0.5 * np.pi)
     perigee = np.stack([-dr, dz, phi, np.arctan2(1, tanl), kappa * cosine], axis=-1)
     jacobian = np.zeros((*perigee.shape, 5))
     jacobian[..., 0, 0], jacobian[..., 1, 3], jacobian[..., 2, 1] = -1, 1, 1

@@ -28,6 +28,11 @@ NATIVE = {
     "dimensionless": "",
 }
 
+#: Speed of light, mm/ns (exact).
+LIGHT = 299.792458
+#: Momentum of unit charge on a circle of 1 mm in 1 T, GeV/c (PDG, Phys. Rev. D 110, 030001 (2024), section 35.12).
+GEV_PER_T_MM = LIGHT / 1e6
+
 _DEGREE = Decimal(math.pi) / 180
 # Value of one unit in the native unit of its dimension; decimal so that "650 um" is 0.65 mm to the last bit.
 _UNITS: dict[str, dict[str, Decimal]] = {

@@ -11,7 +11,8 @@ import numpy as np
 
 from cgemit import helix
 from cgemit.analysis.bes3 import HYPOTHESES
-from cgemit.detector.drift import LIGHT, propagation_time
+from cgemit.detector.drift import propagation_time
+from cgemit.units import LIGHT
 
 _I, _U, _F = "i4", "u4", "f8"
 _POINTS = ("e", "mu", "k", "p")

@@ -126,6 +126,19 @@ def test_phi0_range():
     np.testing.assert_allclose(np.sin(phi0 + math.pi / 2), np.sin(psi), atol=1e-12)
 
 
+@pytest.mark.parametrize("turns", [-3, -1, 0, 1, 7])
+def test_angles_of_a_turn_are_in_a_half_open_range(turns: int) -> None:
+    angles = np.array([-3.1, -1e-9, 0.0, 1e-17, 0.5, 3.14])
+    wrapped = helix.wrap_angle(angles + 2 * np.pi * turns)
+    np.testing.assert_allclose(wrapped, angles, rtol=0, atol=4e-15)
+    assert turns or wrapped.tobytes() == angles.tobytes()
+
+
+def test_the_end_of_the_range_of_angles_is_pi() -> None:
+    assert helix.wrap_angle([np.pi, -np.pi, 3 * np.pi, -3 * np.pi]).tolist() == [np.pi] * 4
+    assert np.isnan(helix.wrap_angle(np.nan))
+
+
 def test_rows_without_a_helix_are_nan():
     """Neutral particles and particles along the beam have no kappa."""
     found = helix.at_origin(particles([0.0, 0, 0], [[1.0, 0, 0], [0, 0, 1.0]], [22, 13]), -1.0)

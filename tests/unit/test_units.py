@@ -4,10 +4,11 @@ import math
 import pickle
 
 import pytest
+import scipy.constants
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cgemit.units import NATIVE, QuantityError, format_quantity, parse_quantity, units_of
+from cgemit.units import GEV_PER_T_MM, LIGHT, NATIVE, QuantityError, format_quantity, parse_quantity, units_of
 
 
 @pytest.mark.parametrize(
@@ -80,3 +81,9 @@ def test_native_text_reads_back_exactly(value: float, dimension: str) -> None:
 def test_every_unit_reads_back(dimension: str) -> None:
     for unit in units_of(dimension):
         assert parse_quantity(format_quantity(1.25, dimension, unit), dimension) == pytest.approx(1.25, rel=1e-5)
+
+
+def test_constants_against_codata() -> None:
+    assert scipy.constants.c * 1e-6 == LIGHT  # mm/ns
+    momentum = scipy.constants.e * 1e-3 / scipy.constants.e * scipy.constants.c * 1e-9  # e 1 T 1 mm, in GeV/c
+    assert math.isclose(momentum, GEV_PER_T_MM, rel_tol=1e-15)

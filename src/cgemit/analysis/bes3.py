@@ -14,6 +14,7 @@ import numpy.typing as npt
 from cgemit import helix
 from cgemit.base.files import check_regular, package
 from cgemit.detector import Detector, load
+from cgemit.helix import wrap_angle
 from cgemit.particles.species import KNOWN
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.candidates import HIT_WIRE, HIT_X, XV_CLUSTER, label_candidates
@@ -244,7 +245,7 @@ def _clusters(given: Columns) -> Columns:
         "layer": of["m_layerid"],
         "sheet": of["m_sheetid"],
         "view": of["m_flag"],
-        "phi": np.where(has_phi, _wrapped(of["m_recphi"]), nan),
+        "phi": np.where(has_phi, wrap_angle(of["m_recphi"]), nan),
         "v": np.where(has_v & ~point, of["m_recv"], nan),
         "z": np.where(point, of["m_recZ"], nan),
         "charge": np.where(charge == _NOT_SET, nan, charge),
@@ -263,7 +264,7 @@ def _row_of(of: Columns, number: Column) -> Column:
 def _tracks(helix: Column, cov: Column, number: Column) -> Columns:
     """Return helices, (n, 5), and covariances, (n, 5, 5), in mm, with the azimuth in (-pi, pi]."""
     helix = helix * _HELIX
-    helix[:, 1] = _wrapped(helix[:, 1])
+    helix[:, 1] = wrap_angle(helix[:, 1])
     return {"candidate": number, "helix": helix, "cov": cov * np.outer(_HELIX, _HELIX)}
 
 
@@ -348,11 +349,6 @@ def _wire_digis(of: Columns) -> Columns:
         "overflow": of["m_overflow"].astype(np.int64),
         "particle": np.where(owner < 0, -1, owner % _SECONDARY),
     }
-
-
-def _wrapped(angle: Column) -> Column:
-    """Return angles in (-pi, pi]."""
-    return np.asarray(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
 
 
 #: Errors of X and V of clusters, mm, which the files do not hold: the standard deviations of the 30 clusters of the

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit.analysis.bes3 import Bes3Events
 from cgemit.chain.match import match
 from cgemit.detector import Detector
-from cgemit.detector.drift import LIGHT, distance_at, propagation_time
+from cgemit.detector.drift import distance_at, propagation_time
 from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.fit import FitStatus
@@ -20,6 +20,7 @@ from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import DriftTimes
 from cgemit.tables import SCHEMAS, Table
+from cgemit.units import LIGHT
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import helix
 from cgemit.analysis.curves import Spectrum, histograms
 from cgemit.analysis.quantities import V, X
 from cgemit.analysis.widths import GaussianFit, Resolution, gaussian_fit, measure, share_error
@@ -296,7 +297,7 @@ def delta_displacements(truths: Table, steps: Table) -> tuple[Floats, Floats]:
     for side in (-0.5, 0.5):
         r, phi, z = _cylindrical(*(steps[axis][rows] + side * steps[f"d{axis}"][rows] for axis in "xyz"))
         share = (r - entry[0]) / (exit_[0] - entry[0])
-        beside = r * _turn(phi - entry[1] - share * _turn(exit_[1] - entry[1]))
+        beside = r * helix.wrap_angle(phi - entry[1] - share * helix.wrap_angle(exit_[1] - entry[1]))
         along = z - entry[2] - share * (exit_[2] - entry[2])
         for values, distance in zip(largest, (beside, along), strict=True):
             np.maximum.at(values, link, np.abs(distance))
@@ -305,8 +306,3 @@ def delta_displacements(truths: Table, steps: Table) -> tuple[Floats, Floats]:
 
 def _cylindrical(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
     return np.hypot(x, y), np.arctan2(y, x), z
-
-
-def _turn(phi: Floats) -> Floats:
-    """Bring angles between -pi and pi."""
-    return np.asarray((phi + np.pi) % (2 * np.pi) - np.pi)

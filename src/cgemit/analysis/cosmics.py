@@ -170,7 +170,7 @@ def _backward(parameters: Floats) -> Floats:
 def _differences(first: Floats, second: Floats) -> dict[str, Floats]:
     """Return the differences of parameters and momentum of helices."""
     difference = first - second
-    difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
+    difference[:, 1] = helix.wrap_angle(difference[:, 1])
     return dict(zip(_NAMES, [*difference.T, helix.momentum(first) - helix.momentum(second)], strict=True))
 
 

@@ -213,7 +213,7 @@ def _columns(events: Bes3Events, ours: Table, boss: Table) -> Columns:
     for name in PARAMETERS:
         diff = ours[name] - boss[name]
         if name == "phi0":
-            diff = np.remainder(diff + np.pi, 2 * np.pi) - np.pi
+            diff = helix.wrap_angle(diff)
         columns |= {name: ours[name], f"err_{name}": ours[f"err_{name}"]}
         columns |= {f"boss_{name}": boss[name], f"boss_err_{name}": boss[f"err_{name}"]}
         with np.errstate(divide="ignore", invalid="ignore"):  # fits that failed have errors of 0
@@ -232,7 +232,7 @@ def _truth(events: Bes3Events, boss: Table) -> Columns:
     nearest = np.full((len(boss), 5), np.nan)
     for row in range(len(boss)):
         mine = true[particles["event"] == boss["event"][row]]
-        turn = np.remainder(mine[:, 1] - boss["phi0"][row] + np.pi, 2 * np.pi) - np.pi
+        turn = helix.wrap_angle(mine[:, 1] - boss["phi0"][row])
         off = np.stack([turn, mine[:, 4] - boss["tanl"][row], mine[:, 2] / boss["kappa"][row] - 1], axis=1) / _NEAR
         far = np.where(np.isnan(off).any(axis=1), np.inf, np.abs(off).max(axis=1, initial=0))
         if len(far) and far.min() < 1:

@@ -311,7 +311,7 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
     for name, true in [*quantities, ("p", helix.momentum(truth))]:
         residual = tracks[name] - true
         if name == "phi0":
-            residual = np.remainder(residual + np.pi, 2 * np.pi) - np.pi
+            residual = helix.wrap_angle(residual)
         columns |= {f"truth_{name}": true, f"res_{name}": residual, f"pull_{name}": residual / tracks[f"err_{name}"]}
     return columns
 

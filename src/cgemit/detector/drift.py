@@ -60,9 +60,6 @@ def shifted(drift: Floats, time: Floats, shift: npt.ArrayLike) -> Floats:
 Rows = npt.NDArray[np.integer[Any]]
 
 
-LIGHT = 299.792458
-
-
 def check_wire_times(detector: Detector) -> None:
     """Raise an error if a detector does not say how signals run along its wires.
 

@@ -11,9 +11,7 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import NotNegative
 from cgemit.detector.detector import Detector
 from cgemit.detector.parts import CgemLayer
-
-#: Momentum in GeV/c of unit charge on a circle of 1 mm in 1 T.
-_GEV_PER_T_MM = 0.299792458e-3
+from cgemit.units import GEV_PER_T_MM
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ def smallest_gap(detector: Detector) -> float:
 def pt_threshold(detector: Detector) -> float:
     """Return the pT in MeV/c whose circle through the beam line just reaches the outermost layer that measures."""
     radius = max(layer.r_mid for layer in detector.layers)
-    return 1000 * _GEV_PER_T_MM * abs(detector.field.bz) * 0.5 * radius
+    return 1000 * GEV_PER_T_MM * abs(detector.field.bz) * 0.5 * radius
 
 
 def occupancy(detector: Detector, background: Background) -> float:

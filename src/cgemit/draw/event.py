@@ -15,7 +15,7 @@ from cgemit.chain.settings import fit_settings
 from cgemit.detector.core import strip_view
 from cgemit.detector.parts import CgemLayer, Cylinder, MeasurementLayer, crossing_z, v_of_strips
 from cgemit.draw.style import COLORS, plain, statistics_box
-from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
+from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.particles.species import species
 from cgemit.reconstruction.find.truth import residuals
 from cgemit.reconstruction.fit import FitStatus, fit
@@ -67,8 +67,7 @@ def helix_points(helix: Array, bz: float, r_max: float, z_max: float, n: int = 4
 
 def near(phi: npt.ArrayLike, reference: float) -> Array:
     """Return angles shifted by whole turns to lie within pi of a reference, rad."""
-    difference = np.asarray(phi, dtype=np.float64) - reference
-    return reference + (difference + np.pi) % (2 * np.pi) - np.pi
+    return reference + wrap_angle(np.asarray(phi, np.float64) - reference)
 
 
 def wire_layers(detector: Detector) -> tuple[WireLayer, ...]:

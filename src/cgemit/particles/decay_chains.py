@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.particles.species import species
+from cgemit.units import LIGHT
 
 
 @dataclass(frozen=True)
@@ -286,8 +287,6 @@ def boost(momenta: Floats, parent: Floats) -> Floats:
 
 Rows = npt.NDArray[np.int64]
 
-#: Speed of light, mm/ns.
-LIGHT = 299.792458
 #: Attempts at one decay before it is an error; five bodies of the catalogue take 6 on average.
 ATTEMPTS = 500
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import _core
+from cgemit import _core, helix
 from cgemit.base.errors import did_you_mean
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.core import strip_view
@@ -501,7 +501,7 @@ def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | No
         mine["size"] = np.where(given_errors, 0, size)
     _fill_points(layer, mine, start, point)
     on_x = (view == HIT_X) & np.isnan(mine["phi"])
-    mine["phi"] = np.where(on_x, _wrapped(start + mine["x"] / layer.r_readout), mine["phi"])
+    mine["phi"] = np.where(on_x, helix.wrap_angle(start + mine["x"] / layer.r_readout), mine["phi"])
     mine["err_phi"] = np.where(on_x, mine["err_x"] / layer.r_readout, mine["err_phi"])
 
 
@@ -513,7 +513,7 @@ def _fill_points(layer: Any, mine: Columns, start: Column, point: Column) -> Non
     mine["x"] = np.where(by_phi, x, mine["x"])
     by_z = point & np.isnan(mine["v"])
     mine["v"] = np.where(by_z, local_v(layer, mine["x"], mine["z"]), mine["v"])
-    mine["phi"] = np.where(point & np.isnan(mine["phi"]), _wrapped(start + mine["x"] / r), mine["phi"])
+    mine["phi"] = np.where(point & np.isnan(mine["phi"]), helix.wrap_angle(start + mine["x"] / r), mine["phi"])
     mine["z"] = np.where(point & np.isnan(mine["z"]), crossing_z(layer, mine["x"], mine["v"]), mine["z"])
     phi2, z2, both = mine["err_phi"] ** 2, mine["err_z"] ** 2, mine.get("cov_phi_z", np.zeros(len(x)))
     if "cov" in mine:
@@ -525,10 +525,6 @@ def _fill_points(layer: Any, mine: Columns, start: Column, point: Column) -> Non
         mine["err_x"] = np.where(from_phi, r * np.sqrt(phi2), mine["err_x"])
     mine["err_v"] = np.where(from_phi, err_v, mine["err_v"])
     mine["cov_xv"] = np.where(from_phi, cosine * r**2 * phi2 - sine * r * both, mine["cov_xv"])
-
-
-def _wrapped(angle: Column) -> Column:
-    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
 
 
 def _wire_columns(detector: Detector, given: Columns) -> Columns:

@@ -20,7 +20,7 @@ from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector
-from cgemit.detector.drift import LIGHT, _of_layers, propagation_time, shifted, velocity_at
+from cgemit.detector.drift import _of_layers, propagation_time, shifted, velocity_at
 from cgemit.detector.parts import local_v
 from cgemit.detector.readouts import Readout
 from cgemit.particles.species import HYPOTHESES
@@ -30,6 +30,7 @@ from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import displaced
 from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
+from cgemit.units import LIGHT
 
 Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.signedinteger[Any]]
@@ -244,7 +245,7 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     x, y, px, py, track = (states[name] for name in ("x", "y", "px", "py", "track"))
     dx, dy = np.diff(x, prepend=0.0), np.diff(y, prepend=0.0)
     turn = np.diff(np.arctan2(py, px), prepend=0.0)
-    half = 0.5 * (np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
+    half = 0.5 * helix.wrap_angle(turn)
     arc = np.hypot(dx, dy) / np.sinc(half / np.pi) * np.sign(dx * px + dy * py)
     begins = np.flatnonzero(np.diff(track, prepend=-1))
     row = np.repeat(np.arange(len(begins)), np.diff(begins, append=len(track)))
@@ -560,7 +561,7 @@ def _medians(time: Floats, info: Floats, event: Rows, events: int) -> tuple[Floa
 def _difference(new: Floats, old: Floats) -> Floats:
     """Return the difference of helices, (n, 5), azimuths by the short way."""
     difference = new - old
-    difference[:, 1] = np.remainder(difference[:, 1] + np.pi, 2 * np.pi) - np.pi
+    difference[:, 1] = helix.wrap_angle(difference[:, 1])
     return difference
 
 

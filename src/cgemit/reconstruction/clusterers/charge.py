@@ -16,8 +16,7 @@ from cgemit.detector.readouts import AnalogReadout, ChargeReadout, Estimator, Pr
 from cgemit.reconstruction.cluster_errors import COS_THETA, ErrorInputs, chip_delays, error_inputs, expected_errors
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
 from cgemit.tables import Table
-
-_SPEED_OF_LIGHT = 299.792458  # mm/ns
+from cgemit.units import LIGHT
 
 
 class ChargeClusterer(Clusterer):
@@ -170,7 +169,7 @@ class ChargeTimeClusterer(ChargeClusterer):
             If a layer's gas or field has no table of electron transport.
         """
         drift = drift_columns(detector)
-        flight = np.array([layer.r_mid for layer in detector.cgem]) / _SPEED_OF_LIGHT
+        flight = np.array([layer.r_mid for layer in detector.cgem]) / LIGHT
         bend = 1.0 if self.readout.lorentz else 0.0
         return {
             "timing": {

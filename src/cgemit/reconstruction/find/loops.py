@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA
+from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
 
@@ -128,7 +128,7 @@ def pair_chi2(tracks: Table, one: Rows, other: Rows, bz: float) -> Floats:
     turns = _turns(b[:, _DZ] - a[:, _DZ], advance, opposite)
     # The mean of two slopes and radii has a quarter of the summed variance.
     spread = (2 * np.pi * radius) ** 2 * (variance[:, _TANL] + slope**2 * loose_kappa) / 4
-    azimuth = np.remainder(b[:, _PHI0] - a[:, _PHI0] + np.pi, 2 * np.pi) - np.pi
+    azimuth = wrap_angle(b[:, _PHI0] - a[:, _PHI0])
     terms = (
         (b[:, _DR] - a[:, _DR], variance[:, _DR] + (0.5 * LOSS * radius) ** 2),
         (azimuth, variance[:, _PHI0] + LOSS**2),

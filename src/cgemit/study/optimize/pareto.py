@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import Floats, jackknife
-from cgemit.base.errors import Problem, ProblemsError, WrongValueError
-from cgemit.base.files import check_regular
+from cgemit.base.errors import Problem, ProblemsError
+from cgemit.base.files import check_regular, package
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Variable, changes_of
 from cgemit.study.optimize.search import Design, Evaluator, Search
 
@@ -131,23 +131,9 @@ def growth(values: Floats, calls: Sequence[int], reference: Floats) -> list[tupl
 GROUPS_DONE = "groups"
 
 
-class MissingPackageError(WrongValueError):
-    """A package of an extra that is not installed."""
-
-
 def optuna() -> Any:
-    """Return the module `optuna`, silent.
-
-    Raises
-    ------
-    MissingPackageError
-        If it is not installed.
-    """
-    try:
-        import optuna as module
-    except ImportError as error:
-        expected = 'Optuna 5 or later, which is not installed: pip install "cgemit[opt]"'
-        raise MissingPackageError("'nsga2'", expected) from error
+    """Return the module `optuna`, silent; raises `MissingPackageError` if it is not installed."""
+    module = package("optuna", "opt")
     module.logging.set_verbosity(module.logging.WARNING)
     return module
 

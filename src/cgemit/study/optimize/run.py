@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cgemit.base.errors import Problems
+from cgemit.base.files import MissingPackageError
 from cgemit.base.validate import build
 from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers, pool_of
@@ -28,7 +29,7 @@ from cgemit.study.optimize.goals import (
     limits_of,
     variables_of,
 )
-from cgemit.study.optimize.pareto import MissingPackageError, evolve, optuna
+from cgemit.study.optimize.pareto import evolve, optuna
 from cgemit.study.optimize.result import WORK, Optimization
 from cgemit.study.optimize.search import (
     Design,
@@ -214,7 +215,7 @@ def _check_method(
         try:
             optuna()
         except MissingPackageError as error:
-            problems.take(error, "search.method")
+            problems.note("search.method", "'nsga2'", f"a package that is installed ({error})")
         return
     for one in variables:
         if not one.continuous:

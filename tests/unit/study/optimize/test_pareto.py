@@ -196,7 +196,7 @@ def test_a_file_that_is_no_journal_is_a_problem(tmp_path: Path) -> None:
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(PlanError, match=r"pip install \"cgemit\[opt\]\""):
+    with pytest.raises(PlanError, match=r"pip install 'cgemit\[opt\]'"):
         optimize(DESIGN, SPACE, **HOW, search=search(0))
 
 
