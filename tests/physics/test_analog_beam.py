@@ -217,12 +217,13 @@ def tiger_run(second_pass: bool) -> Result:
     return run(load("besiii-cgem-design"), gun, 6000, seed=8, readout=readout)
 
 
-LARGE = pytest.mark.xfail(strict=True, reason="errors in X are 6.1 ± 0.6 % too large with the second pass, gate 6 %")
+#: Gates that clusters of the second pass miss: their view, quantity and range. Factors are those of many designs, whose
+#: widths of pulls scatter by 10 % (docs/methods/readout.md); with 12 000 muons the width in X is 0.938 ± 0.004.
+KNOWN_OFF = {True: {("x", "all"), ("v", "charge 0 to 0.1")}, False: set[tuple[str, str]]()}
 
 
-@pytest.mark.parametrize("by", ["charge", "size"])
-@pytest.mark.parametrize("second_pass", [False, pytest.param(True, marks=LARGE)])
-def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> None:
+@pytest.mark.parametrize("second_pass", [False, True])
+def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     """Errors hold for little and much charge and up to six strips; X clusters of more are those of delta electrons.
 
     These, 3 % of all, have a bias and no Gaussian core: their errors must be of the right order. Errors of the first
@@ -233,12 +234,16 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool, by: str) -> Non
     own = truth.own_clusters(result.detector, clusters, result.truths)
     pull = truth.residuals(result.detector, clusters, result.truths, own)
     pull /= np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
-    values, within = clusters[by][own], 0.06 if second_pass else 0.1
-    for view in (0, 1):
-        mine = clusters["view"][own] == view
-        assert measure(pull[mine]).core == pytest.approx(1, abs=within), view
-        edges = np.quantile(values[mine], (0, 0.1, 0.5, 0.9, 1)) if by == "charge" else np.array([0, 3, 4, 6])
-        for low, high in itertools.pairwise(edges):
-            here = mine & (values > low) & (values <= high)
-            assert measure(pull[here]).core == pytest.approx(1, abs=within + 0.04), (view, low, high)
-        assert by == "charge" or 0.6 < np.quantile(np.abs(pull[mine & (values > 6)]), 0.683) < 1.5
+    within, off = 0.06 if second_pass else 0.1, set()
+    for number, view in enumerate("xv"):
+        mine = clusters["view"][own] == number
+        charge, size = clusters["charge"][own], clusters["size"][own]
+        ranges = {"all": (mine, within)}
+        for low, high in itertools.pairwise((0, 0.1, 0.5, 0.9, 1)):
+            least, most = np.quantile(charge[mine], (low, high))
+            ranges[f"charge {low} to {high}"] = mine & (charge > least) & (charge <= most), within + 0.04
+        for low, high in itertools.pairwise((0, 3, 4, 6)):
+            ranges[f"{low + 1} to {high} strips"] = mine & (size > low) & (size <= high), within + 0.04
+        off |= {(view, name) for name, (here, gate) in ranges.items() if abs(measure(pull[here]).core - 1) > gate}
+        assert 0.6 < np.quantile(np.abs(pull[mine & (size > 6)]), 0.683) < 1.5
+    assert off == KNOWN_OFF[second_pass]

@@ -296,13 +296,15 @@ def terms(
     def of(changed: dict[str, float]) -> Measurements:
         _, found = measured(changed, directions)
         order = np.argsort(_keys(found))
-        order = order[inside_of_sheet(detector, found)[order]]
         return Measurements._make(values[order] for values in found)
 
-    base = of({})
-    moved = (of({_HEIGHT: 1e-3}).residual - base.residual) / 1e-3
-    # Negative where another part of a divided cluster has become that of the crossing.
-    variances = {name: np.maximum(of({name: 1.0}).error ** 2 - base.error**2, 0.0) for name in _FACTORS}
+    # With other factors another part of a divided cluster can be that of the crossing: differences are then of two
+    # parts, negative ones too, and whether a crossing counts is decided once.
+    whole = of({})
+    inside = inside_of_sheet(detector, whole)
+    base = Measurements._make(values[inside] for values in whole)
+    moved = (of({_HEIGHT: 1e-3}).residual[inside] - base.residual) / 1e-3
+    variances = {name: np.maximum(of({name: 1.0}).error[inside] ** 2 - base.error**2, 0.0) for name in _FACTORS}
     return Terms(base.residual, moved, base.error**2, variances)
 
 

@@ -137,6 +137,17 @@ def test_terms_add_up(estimator: str, of_track: bool, of: tuple[str, ...]) -> No
         assert np.quantile(np.abs(plain.residual - sample.residual), 0.5) > 0.002
 
 
+def test_terms_are_of_the_same_clusters_whatever_part_is_that_of_the_crossing() -> None:
+    """In this design the parts of divided clusters, and with them the edges of sheets, change with the factors."""
+    at = design(TIGER, 4)
+    digitized = cg.run(at.detector, muons(1500, 3, 0.0), seed=3, readout=at.readout, until="digitize")
+    factors = chip_errors("tiger")
+    sample = terms(at.detector, at.readout, digitized.digis, digitized.truths, of_track=True, heights=factors)
+    assert {len(column) for column in (sample.heights, sample.fixed, *sample.variances.values())} == {
+        len(sample.residual)
+    }
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", [TIGER, APV25], ids=["tiger", "apv25"])
 def test_pulls_in_designs_that_no_fit_has_seen(readout: ChargeReadout, monkeypatch: pytest.MonkeyPatch) -> None:
