@@ -234,10 +234,15 @@ def shares_of(at: errors.Design, jitter: bool, displaced: float, n: int, seed: i
         return errors.measurements(at.detector, clusters(changed, directions), result.truths, lorentz=readout.lorentz)
 
     base = measured(none)
+    # Without a direction another cluster of the crossing is selected; at the edge of a sheet variances are no sums.
+    own = truth.own_clusters(at.detector, clusters(none, directions), result.truths)
+    known = np.isfinite(directions[own, 0]) & errors.inside_of_sheet(at.detector, base)
     plane = {name: values[base.view * len(at.detector.cgem) + base.layer] for name, values in inputs.planes.items()}
 
     def part(**changed: float) -> Floats:
-        return np.asarray(measured(none | changed).error ** 2 - base.error**2)
+        other = measured(none | changed)
+        known[other.first != base.first] = False  # another part of a divided cluster has become that of the crossing
+        return np.asarray(other.error**2 - base.error**2)
 
     width = plane["pitch"] ** 2 / 12 + plane["cloud"] + plane["diffusion"]
     along = base.slope**2 * plane["gap"] ** 2 / 12
@@ -245,17 +250,17 @@ def shares_of(at: errors.Design, jitter: bool, displaced: float, n: int, seed: i
     share = part(span=1.0) / (base.slope**2 * span)
     electrons = np.maximum(base.charge * inputs.chip["electrons_per_fC"], 2.0)
     largest = np.sqrt(np.maximum(share - (1 + inputs.chip["gain_variance"]) / electrons, 0)).clip(1e-9, 0.75)
+    # Without a largest ionization cluster there is no wide charge, but V has a share of X's at the edge of a sheet.
+    excess = np.where(largest > 1e-9, part(wide=1.0) * (1 - largest) / largest, 0.0)
     cubic = part(noise=1.0) * 12 * base.charge**2 / plane["pitch"] ** 2  # n (n^2 - 1)
     found = Shares(
         (2 * base.truth + base.view) * (1 << 20) + base.first, base.charge,
         part(time=1.0, jitter=1e5) / (base.slope * plane["velocity"] * 1e5) ** 2,
         plane["pitch"] / np.sqrt(12 * (along + width)), share,
         np.searchsorted([i**3 - i - 0.5 for i in range(1, 1000)], cubic, side="right").astype(np.float64),
-        (base.slope * plane["velocity"] * inputs.chip["jitter"]) ** 2, part(wide=1.0) * (1 - largest) / largest, width,
+        (base.slope * plane["velocity"] * inputs.chip["jitter"]) ** 2, excess, width,
         measured({}).error ** 2, measured({"wide": 0.0}).error ** 2,
     )  # fmt: skip
-    own = truth.own_clusters(at.detector, clusters(none, directions), result.truths)
-    known = np.isfinite(directions[own, 0])  # else the direction selects another cluster of the crossing
     return Shares._make(values[known] for values in found)
 
 
