@@ -21,6 +21,8 @@ ELECTRON_STEPS: Final[int]  # equal steps of the electron energies from each pow
 # Collisions that transfer less than this many times the xi of the track plus this share of p beta make the fit's loss.
 CORE_CUT_XI: Final[float]
 CORE_CUT_SHARE: Final[float]
+MOST_ERROR: Final[float]  # relative, of a momentum above which it is not measured; also over the prior's, along z
+STRAIGHT_FIELD: Final[float]  # T, below which tracks are fitted as straight lines
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
 LOSS_GRID_STEP: Final[float]
 LOSS_POINTS: Final[int]

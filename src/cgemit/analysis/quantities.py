@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import helix, tables
+from cgemit import _core, helix, tables
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.errors import did_you_mean
 from cgemit.chain.match import is_matched
@@ -113,9 +113,11 @@ class Quantity:
         ok, weak = status == FitStatus.ok, status == FitStatus.unconstrained
         if self.is_momentum or not weak.any():
             return np.asarray(ok)
-        along = {"dz": ("dz",), "tanl": ("tanl",), "theta": ("tanl",)}.get(self.name, ())
-        for name in along:
-            weak = weak & (np.asarray(tracks[f"err_{name}"]) < _OF_PRIOR[name])
+        along = {"dz": "dz", "tanl": "tanl", "theta": "tanl"}.get(self.name)
+        if along is not None:
+            prior = getattr(tracks, "meta", {}).get("prior_sigma", FitSettings().prior_sigma)
+            sigma = prior[helix.PARAMETERS.index(along)]
+            weak = weak & (np.asarray(tracks[f"err_{along}"]) < _core.MOST_ERROR * sigma)
         return np.asarray(ok | weak)
 
     def gradient(self, kappa: Floats, tanl: Floats) -> Floats:
@@ -162,8 +164,6 @@ class Quantity:
 
 
 _ANY: Columns = {"kappa": np.ones(1), "tanl": np.zeros(1)}
-#: Errors along z, half of those of the default prior, at which the fit calls a track unconstrained.
-_OF_PRIOR = {name: 0.5 * sigma for name, sigma in zip(helix.PARAMETERS, FitSettings().prior_sigma, strict=True)}
 
 
 class _Truth:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from cgemit import _core
 from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, UPPER, quantity_of
 from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import Detector
@@ -102,10 +103,6 @@ def _together(found: Sequence[Entries], quantities: Sequence[str]) -> Iterator[W
         yield Widths(dict(zip(quantities, sigma[:, i], strict=True)), status[points], reached[points])
 
 
-#: Relative error of a momentum above which it is not measured, as in the fit.
-_MOST_ERROR = 0.5
-
-
 def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) -> npt.NDArray[np.bool_]:
     """Return the points whose momentum is not measured, (..., points) bool: it is known to half of itself or worse.
 
@@ -121,7 +118,7 @@ def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) 
     variance = known.variance(covariance, kappa, tanl) / known.factor**2
     variance = variance.reshape(*variance.shape[:-1], -1, number)
     with np.errstate(invalid="ignore"):
-        return np.asarray(mean(variance, ~np.isnan(variance)) > _MOST_ERROR**2)
+        return np.asarray(mean(variance, ~np.isnan(variance)) > _core.MOST_ERROR**2)
 
 
 By = Literal["source", "part", "material", "cause"]

@@ -10,6 +10,7 @@ from functools import cache, lru_cache
 from operator import attrgetter
 from typing import Any, TypeVar
 
+from cgemit import _core
 from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean, shown
 from cgemit.base.validate import entries
 from cgemit.detector import check
@@ -382,10 +383,6 @@ def _field(reader: Reader, raw: object) -> Field:
     return kind(**values)
 
 
-#: T; a map that is smaller at the origin cannot be scaled to a value there.
-_SCALABLE = 1e-4
-
-
 def _read_map(reader: Reader, values: dict[str, Any]) -> None:
     """Read the map that the values of a table [field] name, and fill in what follows from it."""
     values["grid"] = UNUSABLE
@@ -404,7 +401,7 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
     if checksum is not None and checksum != grid.checksum:
         reader.note("field.checksum", str(checksum), f"{grid.checksum}, that of {values['file']}: the map has changed")
     own = grid.bz_at_origin()
-    if stated and values["bz"] and abs(own) < _SCALABLE:
+    if stated and values["bz"] and abs(own) < _core.STRAIGHT_FIELD:
         given = f"{values['bz']:g} T to scale the map to" if isinstance(values["bz"], float) else "a value"
         reader.note("field.bz", given, f"none: the map is {own:g} T at the origin")
     values |= {"grid": grid, "checksum": grid.checksum}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from cgemit import _core
 from cgemit.base.errors import Problem
 from cgemit.detector.field import Field, FieldGrid, MapField, field_range
 from cgemit.detector.keys import Part, keys_of, once
@@ -41,21 +42,21 @@ def value_problems(detector: Contents) -> list[Problem]:
     return problems + field_problems(detector.field) + _coil_problems(detector)
 
 
-#: T. A map may be smaller at the origin only if it is weak everywhere.
-_LEAST_AT_ORIGIN, _WEAK = 1e-4, 1e-2
+#: T. A map may be that of straight tracks at the origin only if it is weak everywhere.
+_WEAK = 1e-2
 
 
 def field_problems(field: Field) -> list[Problem]:
     """Return whether a map bends tracks, but not at the origin: kappa of a curvature is that in the field there."""
     if not isinstance(field, MapField) or not isinstance(field.grid, FieldGrid):
         return []
-    if not abs(field.bz) < _LEAST_AT_ORIGIN:
+    if not abs(field.bz) < _core.STRAIGHT_FIELD:
         return []
     own = abs(field.grid.bz_at_origin())
     largest = field.grid.largest() * (abs(field.bz) / own if own else 1.0)
     if largest < _WEAK:
         return []
-    least = f"at least {1e3 * _LEAST_AT_ORIGIN:g} mT, or a map below {1e3 * _WEAK:g} mT everywhere"
+    least = f"at least {1e3 * _core.STRAIGHT_FIELD:g} mT, or a map below {1e3 * _WEAK:g} mT everywhere"
     return [Problem("field.bz", f"{field.bz:g} T at the origin of a map of up to {largest:.3g} T", least)]
 
 

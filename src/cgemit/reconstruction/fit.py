@@ -132,7 +132,7 @@ class FitSettings(SettingsData):
     def prior_in(self, detector: Detector) -> tuple[float, ...]:
         """Return the prior's standard deviations in the field of a detector, as `prior_sigma`."""
         bz = abs(detector.field.bz)
-        wider = _FIELD_OF_PRIOR / bz if _STRAIGHT <= bz < _FIELD_OF_PRIOR else 1.0
+        wider = _FIELD_OF_PRIOR / bz if _core.STRAIGHT_FIELD <= bz < _FIELD_OF_PRIOR else 1.0
         return tuple(one * wider if i == _KAPPA else one for i, one in enumerate(self.prior_sigma))
 
     def hypotheses(self) -> tuple[str, ...]:
@@ -151,8 +151,6 @@ CORE_SETTINGS = ("max_iterations", "tolerance", "least_width", "delta_strips", "
 _KAPPA = helix.PARAMETERS.index("kappa")
 #: T. The prior of kappa is that of the settings above this field; below, it is constant in curvature.
 _FIELD_OF_PRIOR = 0.1
-#: T, below which tracks are fitted as straight lines (`is_straight` of the core).
-_STRAIGHT = 1e-4
 
 #: Column of the candidates that comes before the setting of this name.
 BEGIN = "start_radius"
@@ -261,6 +259,7 @@ def fit(
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
         | {"momentum": settings.momentum or USUAL_MOMENTUM}
+        | ({} if settings.prior_sigma == FitSettings().prior_sigma else {"prior_sigma": list(settings.prior_sigma)})
     }
     columns = _track_columns(out, event, candidate, pdg)
     columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)

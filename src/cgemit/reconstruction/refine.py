@@ -256,7 +256,7 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     along = np.cumsum(length, axis=1)[row, place]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)
     # Tracks may be unconstrained along z alone.
-    known = ~(helix.momentum_error(parameters, tracks["cov"]) > 0.5 * tracks["p"])
+    known = ~(helix.momentum_error(parameters, tracks["cov"]) > _core.MOST_ERROR * tracks["p"])
     p = np.where(known, tracks["p"], tracks.meta.get("momentum", USUAL_MOMENTUM))
     slowness = np.hypot(1.0, _masses(candidates, tracks) / p) / LIGHT
     return np.asarray(along * slowness[track], np.float64)

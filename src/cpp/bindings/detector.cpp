@@ -196,6 +196,7 @@ void bind_detector(py::module_& module) {
       .value("mean", CoreLoss::mean)
       .value("most_probable", CoreLoss::most_probable)
       .finalize();
+  module.attr("STRAIGHT_FIELD") = straight_field;
   module.attr("LOSS_GRID_FIRST") = loss_grid_first;
   module.attr("LOSS_GRID_STEP") = loss_grid_step;
   module.attr("LOSS_POINTS") = loss_points;

@@ -129,6 +129,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
 }  // namespace
 
 void bind_fit(py::module_& module) {
+  module.attr("MOST_ERROR") = most_error;
   module.def("fit", &run_fit, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg("start"), py::arg_v("start_radius", Array<double>(0), "..."),
              py::arg("settings"), py::arg("residuals"), py::arg("states") = false,

@@ -21,7 +21,8 @@ namespace cgemit {
 
 // Whether tracks are fitted as straight lines in a field (T at the origin): it bends a track of 1 GeV/c by 2
 // um over 0.8 m. Their kappa is that of an assumed momentum.
-inline bool is_straight(double bz) { return std::abs(bz) < 1e-4; }
+inline constexpr double straight_field = 1e-4;
+inline bool is_straight(double bz) { return std::abs(bz) < straight_field; }
 
 enum class View : std::uint8_t { x = 0, v = 1, wire = 2 };
 

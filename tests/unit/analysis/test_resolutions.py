@@ -349,3 +349,15 @@ def test_a_term_of_nothing_is_zero():
     noisy = fit_form("dz", p, np.full(10, 0.3), np.full(10, 0.01), particle="e-")
     assert math.isfinite(noisy.b_error)
     assert noisy.b_error > 0
+
+
+def test_errors_along_z_are_compared_with_the_prior_of_the_fit() -> None:
+    """Of muons whose momentum is not measured, d_z is, unless it is no better than what the fit was given."""
+    gun = cg.Gun("mu-", p=300.0, cos_theta=0.2)
+    used = {}
+    for sigma in (1000.0, 0.1):
+        settings = cg.Settings(fit=cg.FitSettings(prior_sigma=(200.0, 0.5, 5.0, sigma, 2.0)))
+        tracks = cg.run("besiii-cgem-design", gun, n=50, seed=3, settings=settings).tracks
+        assert np.count_nonzero(tracks["status"] == cg.FitStatus.unconstrained) > 5
+        used[sigma] = resolution(tracks, "dz").n
+    assert used == {1000.0: 50, 0.1: 0}

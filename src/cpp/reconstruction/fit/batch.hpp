@@ -114,19 +114,18 @@ class BatchFit {
   // few wires of one stereo angle say little of z: the errors along z are then those of the filter's prior.
   void mark_unconstrained(FitRow& row) const {
     if (row.status != FitStatus::ok) return;
-    constexpr double most = 0.5;
     const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[parameters * i + k]; };
     const auto as_prior = [&](std::size_t i) {
-      const double sigma = most * settings_.prior_sigma[i];
+      const double sigma = most_error * settings_.prior_sigma[i];
       return !(cov(i, i) < sigma * sigma);
     };
     // ln p = ln sec(lambda) - ln |kappa|
     const double kappa = row.helix[2], tanl = row.helix[4], slope = tanl / (1 + tanl * tanl);
     const double variance =
         cov(2, 2) / (kappa * kappa) - 2 * slope * cov(2, 4) / kappa + slope * slope * cov(4, 4);
-    const double in_matter = most * std::sqrt(1 + tanl * tanl) / row.matter_p;
+    const double in_matter = most_error * std::sqrt(1 + tanl * tanl) / row.matter_p;
     const bool any_momentum =
-        !(variance < most * most) || (row.matter_p > 0 && !(cov(2, 2) < in_matter * in_matter));
+        !(variance < most_error * most_error) || (row.matter_p > 0 && !(cov(2, 2) < in_matter * in_matter));
     if (any_momentum || as_prior(3) || as_prior(4)) row.status = FitStatus::unconstrained;
   }
   // Each hit that is left out counts as one just at the outlier cut, or at 5 standard deviations without a

@@ -12,6 +12,9 @@
 
 namespace cgemit {
 
+// Relative error of a momentum above which hits do not measure it, and error along z over that of the prior.
+inline constexpr double most_error = 0.5;
+
 // Default values are in `cgemit.reconstruction.fit.FitSettings`.
 struct FitSettings {
   int max_iterations;
