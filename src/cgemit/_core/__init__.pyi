@@ -35,6 +35,9 @@ class TransportStatus(enum.IntEnum):
     neutral = 4
     left_field = 5
     decayed = 6
+    at_rest = 7
+    out_of_range = 8
+    multiply_charged = 9
 
 class FitStatus(enum.IntEnum):
     ok = 0

@@ -56,6 +56,8 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
              y = take<double>(particles, "y"), z = take<double>(particles, "z"),
              px = take<double>(particles, "px"), py_ = take<double>(particles, "py"),
              pz = take<double>(particles, "pz");
+  const bool has_times = particles.contains("decay_time");
+  const auto decay_time = has_times ? take<double>(particles, "decay_time") : Array<double>(0);
   const py::ssize_t n = event.size();
   const ParticleColumns in{.event = column(event, "event", n),
                            .particle = column(particle, "particle", n),
@@ -67,7 +69,8 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
                            .z = column(z, "z", n),
                            .px = column(px, "px", n),
                            .py = column(py_, "py", n),
-                           .pz = column(pz, "pz", n)};
+                           .pz = column(pz, "pz", n),
+                           .decay_time = column(decay_time, "decay_time", has_times ? n : 0)};
   const SimulateSettings settings{.fluctuations = fluctuations,
                                   .deltas = deltas,
                                   .steps = steps,

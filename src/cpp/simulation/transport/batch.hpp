@@ -159,7 +159,8 @@ class Batch {
                             std::int32_t number) {
     LoopingFlight<MotionOf<double>> flight(detector_, settings_, in, seed_, {row}, group.gaps, group.cells);
     flight.run();
-    if (flight.status(0) == TransportStatus::decayed) {
+    // The products of a decay that is not drawn are rows of the table.
+    if (flight.status(0) == TransportStatus::decayed && !in.decays_at(row)) {
       const double start = number == 0 ? 0.0 : group.daughters[static_cast<std::size_t>(number - 1)].time;
       add_daughters(*settings_.decays->find(in.pdg[row]), flight.decay_point(), stream_of(in, row, seed_),
                     who(group.rows[0]), number, start, group.daughters);

@@ -1,6 +1,7 @@
 // Simulation of charged particles: from the vertex outward through matter, drift gaps and drift cells.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -33,6 +34,10 @@ struct ParticleColumns {
   std::span<const std::int32_t> particle, pdg;
   std::span<const std::int8_t> charge;
   std::span<const double> mass, x, y, z, px, py, pz;
+  // ns since the start, of decays that are not drawn; infinite: a particle has none. Empty: no particle has.
+  std::span<const double> decay_time{};
+
+  bool decays_at(std::size_t row) const { return !decay_time.empty() && decay_time[row] < HUGE_VAL; }
 };
 
 struct Simulated {

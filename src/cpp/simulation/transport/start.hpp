@@ -42,7 +42,8 @@ inline ParticleColumns columns_of(const Daughter& one) {
           .z = of(one.at.position.z),
           .px = of(one.momentum.x),
           .py = of(one.momentum.y),
-          .pz = of(one.momentum.z)};
+          .pz = of(one.momentum.z),
+          .decay_time = {}};
 }
 
 // Rows of the particles in the lanes; empty lanes repeat one of them.
@@ -76,8 +77,16 @@ struct StartOf {
   }
 
   // Time of the decay in ns if the particles keep their energy; infinite for those that do not decay. The
-  // proper time is exponential.
+  // proper time is exponential, unless the particle brings its time of decay.
   T decay_time(const DecayTable* decays, const T& gamma) const {
+    const T drawn = drawn_decay_time(decays, gamma);
+    if (in.decay_time.empty()) return drawn;
+    const T given = column([&](std::size_t row) { return in.decay_time[row]; });
+    return select(given < HUGE_VAL, given, drawn);
+  }
+
+ private:
+  T drawn_decay_time(const DecayTable* decays, const T& gamma) const {
     if (decays == nullptr) return T(HUGE_VAL);
     const T lifetime = column([&](std::size_t row) { return decays->lifetime(in.pdg[row]); });
     if (!any(lifetime < HUGE_VAL)) return lifetime;
