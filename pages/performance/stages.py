@@ -226,7 +226,7 @@ def smeared(truth: Floats, particles: Table, seed: int, sigma: Sequence[float] =
 def chain_times(events: int) -> dict[str, float]:
     """Return us per track of each stage and of all, for so many events; tables of a chunk are dropped."""
     detector, settings = load(DETECTOR), Settings(fit=ALL_HITS)
-    job = Job(detector, detector, GUN, None, settings, SEED, "truth", "fit", None)
+    job = Job(detector, detector, GUN, None, None, settings, SEED, "truth", "fit", None)
     seconds = dict.fromkeys((*CHAIN, "all"), 0.0)
     start = time.perf_counter()
     for first in range(0, events, PARTICLES):

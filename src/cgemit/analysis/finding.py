@@ -16,7 +16,7 @@ from cgemit.chain.settings import finder_of
 from cgemit.detector.inventory import channels as strips
 from cgemit.reconstruction.candidates import HIT_V, HIT_X
 from cgemit.reconstruction.find.loops import link_loops
-from cgemit.reconstruction.find.truth import own_clusters, particle_rows
+from cgemit.reconstruction.find.truth import have_flown, own_clusters, particle_rows
 from cgemit.tables import Table
 from cgemit.tables.show import Shown
 
@@ -323,7 +323,7 @@ def finding(result: Result) -> Finding:
         raise ValueError(f"finding: got a result without candidates; expected {expected}")
     of_candidate, of_particle = count_candidates(result.detector, result.tables), count_particles(result)
     particles = result.particles
-    charged = np.asarray(particles["charge"] != 0)
+    charged = have_flown(particles)
     findable, removed = findable_of(of_particle, charged)
     px, py, pz = (particles[f"p{axis}"] for axis in "xyz")
     pt = np.hypot(px, py)

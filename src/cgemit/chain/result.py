@@ -84,6 +84,7 @@ class Result:
     transported: Mapping[str, int] | None = None
 
     particles = _Stored()
+    events = _Stored()
     decays = _Stored()
     truths = _Stored()
     steps = _Stored()

@@ -95,12 +95,16 @@ class Output:
 
 
 class Job(NamedTuple):
-    """What every chunk of a run has in common; `fit_detector` is the detector that the reconstruction assumes."""
+    """What every chunk of a run has in common; `fit_detector` is the detector that the reconstruction assumes.
+
+    `given` are particles that no source makes, and `events` the events of their record.
+    """
 
     detector: Detector
     fit_detector: Detector
     source: Source | Guns | None
     given: Table | None
+    events: Table | None
     settings: Settings
     seed: int
     finder: FinderLike
@@ -120,6 +124,7 @@ def run(
     finder: FinderLike = "truth",
     until: Literal["simulate", "digitize", "cluster", "find", "fit"] = "fit",
     keep: Sequence[str] | None = None,
+    charges: Mapping[int, int] | None = None,
     output: Output | str | os.PathLike[str] | None = None,
     workers: Workers | Any = None,
     progress: Callable[[float], None] | None = None,
@@ -156,6 +161,8 @@ def run(
     keep : sequence of str or None
         Names of the tables in the result; None: all. ``tracks`` brings ``matches``. Links to tables that are not kept
         are -1.
+    charges : mapping of int to int, or None
+        Charges in e of PDG numbers that tell none, for given particles, such as ``{4900211: 1}``.
     output : Output, path or None
         Folder to which the tables are written in parts while the run goes on. The result is then that of
         `cgemit.open`: it reads its tables when they are asked for.
@@ -190,7 +197,9 @@ def run(
     start = time.perf_counter()
     workers = Workers.of(workers)
     out = Output(output) if isinstance(output, str | os.PathLike) else output
-    job, n_events = _checked(detector, gun, n, seed, settings, readout, fit_detector, finder, until, keep, out, workers)
+    job, n_events = _checked(
+        detector, gun, n, seed, settings, readout, fit_detector, finder, until, keep, out, workers, charges
+    )
     in_event = len(job.given or ()) / max(n_events, 1) if job.source is None else job.source.multiplicity
     chunk = chunk_for(n_events, workers, in_event)
     tasks = [(job, first, min(chunk, n_events - first)) for first in range(0, max(n_events, 1), chunk)]
@@ -312,6 +321,8 @@ def _chunk(job: Job, first: int, count: int) -> Answer:
         numbers = job.given.events[first : first + count]
         particles = job.given.select_events(int(numbers[0]), int(numbers[-1]) + 1) if count else job.given
     tables, seconds = run_chunk(job, particles)
+    if job.events is not None:
+        tables["events"] = job.events.select_events(particles.first_event, particles.first_event + count)
     transport = transport_counts(tables["particles"]["status"])
     sizes = {name: sum(column.nbytes for column in one.columns.values()) for name, one in tables.items()}
     if job.keep is not None:
@@ -322,7 +333,7 @@ def _chunk(job: Job, first: int, count: int) -> Answer:
 
 def _checked(
     detector: Any, gun: Any, n: int | None, seed: int, settings: Settings | None, readout: Any, fit_detector: Any,
-    finder: FinderLike, until: str, keep: Any, output: Output | None, workers: Workers,
+    finder: FinderLike, until: str, keep: Any, output: Output | None, workers: Workers, charges: Any,
 ) -> tuple[Job, int]:  # fmt: skip
     """Return the job of a run and its number of events; raise an error that lists every problem of the arguments."""
     if not isinstance(settings, Settings | None):
@@ -333,18 +344,20 @@ def _checked(
     assumed: Any = simulated if fit_detector is None else found.collect(load, fit_detector)
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, workers.threads, n=(n, 0, most), chunk=(workers.chunk, 1, most))
-    kept = found.collect(check_stages, finder, until, workers, keep, given)
     found.collect(check_clusterer, assumed, given, until)
     for one in (simulated, assumed) if assumed is not simulated else (simulated,):
         found.collect(check_raw_times, one, given, until)
-    source: Any = found.collect(source_of, gun, n)
+    source: Any = found.collect(source_of, gun, n, charges)
+    kept = found.collect(
+        check_stages, finder, until, workers, keep, given, source is not None and source[3] is not None
+    )
     if output is not None:
         found.collect(check_format, output.format)
     found.report("run")
     if until in STAGES[2:]:
         warn_of_losses(simulated, given.digitize.readout)
-    shooter, n_events, table = source
-    return Job(simulated, assumed, shooter, table, given, seed, finder, until, kept), n_events
+    shooter, n_events, table, events = source
+    return Job(simulated, assumed, shooter, table, events, given, seed, finder, until, kept), n_events
 
 
 def check_clusterer(detector: Detector | None, settings: Settings | None, until: object) -> None:
@@ -360,7 +373,7 @@ def check_raw_times(detector: Detector | None, settings: Settings | None, until:
 
 
 def check_stages(
-    finder: object, until: object, workers: Workers, keep: Any, settings: Settings | None
+    finder: object, until: object, workers: Workers, keep: Any, settings: Settings | None, has_events: bool = False
 ) -> tuple[str, ...] | None:
     """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
     problems = Problems()
@@ -380,6 +393,8 @@ def check_stages(
         made = tables_made(str(until), settings)
         if "candidates" in made and finder != "truth":
             made = (*made, "searches")
+        if has_events:
+            made = (*made, "events")
         missing = [name for name in names if name in TABLES and name not in made]
         if missing:
             problems.note("keep", f"{', '.join(missing)}, which this run does not make", f"some of {', '.join(made)}")

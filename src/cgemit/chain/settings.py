@@ -28,7 +28,7 @@ FinderLike = Finder | str
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end
 
 TABLES = (
-    *("particles", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
+    *("particles", "events", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
     *("candidates", "candidate_hits", "searches", "refined_clusters", "refined_wire_hits"),
     *("tracks", "residuals", "states", "start_times", "matches"),
 )

@@ -54,6 +54,15 @@ def triple(text: str) -> tuple[float, float, float]:
     return found[0], found[1], found[2]
 
 
+def charges(text: str) -> dict[int, int]:
+    """Read charges of PDG numbers, ``PDG=CHARGE,...``."""
+    pairs = [part.strip().partition("=") for part in text.split(",")]
+    try:
+        return {int(pdg): int(charge) for pdg, _, charge in pairs}
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"got {text!r:.50}, expected PDG=CHARGE,... such as 4900211=1") from None
+
+
 def names(text: str) -> tuple[str, ...]:
     """Read names, ``A,B,C``."""
     return tuple(part.strip() for part in text.split(","))

@@ -117,9 +117,14 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     if not files:
         return
     gun.add_argument(
-        "--particles", metavar="FILE",
-        help="particles of a generator instead of the gun: HepMC (.hepmc, .hepmc.gz; needs pyhepmc) or a table of "
-        "particles (.npz, .parquet, .root)",
+        "--particles",
+        metavar="FILE",
+        help="particles of a generator instead of the gun: HepMC (.hepmc, .hepmc.gz; needs pyhepmc; .root), EDM4hep "
+        "(.root) or a table of particles (.csv, .npz, .parquet, .root)",
+    )
+    gun.add_argument(
+        "--charges", type=options.charges, metavar="PDG=CHARGE,...",
+        help="charges (e) of particles of the file whose PDG number tells none",
     )  # fmt: skip
 
 
@@ -165,9 +170,11 @@ def _source(arguments: argparse.Namespace) -> Any:
     InputError
         Listing every option that is missing, or that says the same as another.
     """
-    from cgemit.particles.table import particles_from
+    from cgemit.particles.table import read_particles
 
     if arguments.particles is None:
+        if arguments.charges is not None:
+            raise options.InputError("--charges: got charges without --particles, expected both")
         return gun_of(arguments, ("-n", arguments.events))
     given = [name for name in ("sample", *_GUN) if getattr(arguments, name) is not None]
     if given:
@@ -175,7 +182,7 @@ def _source(arguments: argparse.Namespace) -> Any:
         raise options.InputError(f"--particles: got {wrong}, too; expected particles of a file or of a gun")
     if not Path(arguments.particles).exists():
         raise options.InputError(f"--particles: got {arguments.particles}, which does not exist; expected a file")
-    return particles_from(arguments.particles)
+    return read_particles(arguments.particles, charges=arguments.charges)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from html import escape
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -24,8 +25,9 @@ from cgemit.base.validate import (
     check_seed,
     check_whole,
 )
+from cgemit.particles.records import ParticleError
 from cgemit.particles.species import species
-from cgemit.particles.table import FARTHEST, FASTEST, ParticleError, particles_from
+from cgemit.particles.table import FARTHEST, FASTEST, Given, read_particles
 from cgemit.tables import Table
 from cgemit.tables.schema import Array
 
@@ -377,14 +379,18 @@ def _check_across(gun: Gun, problems: Problems) -> None:
             problems.note(name, repr(value), f"a number between {least:g} and {most:g}, ends excluded with pt")
 
 
-def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table | None]:
-    """Return the source of the particles, or None, with the number of events; and the particles, if they are given.
+def source_of(
+    gun: Any, n: int | None, charges: Mapping[int, int] | None = None
+) -> tuple[Source | Guns | None, int, Table | None, Table | None]:
+    """Return the source of the particles, or None, with the number of events; and given particles with their events.
 
     Parameters
     ----------
     gun : Source, Guns, or what `particles_from` takes
     n : int or None
         Number of events; 1000 for a source if None.
+    charges : mapping of int to int, or None
+        Of given particles, as in `particles_from`.
 
     Raises
     ------
@@ -392,8 +398,10 @@ def source_of(gun: Any, n: int | None) -> tuple[Source | Guns | None, int, Table
         If `n` is not the number of events of the particles.
     """
     if isinstance(gun, Source | Guns):
-        return gun, 1000 if n is None else n, None
-    table = particles_from(gun)
+        if charges is not None:
+            refuse("run", "charges", repr(charges)[:50], "none for a gun or a sample")
+        return gun, 1000 if n is None else n, None, None
+    table, events = gun if isinstance(gun, Given) else read_particles(gun, charges=charges)
     if n is not None and n != table.n_events:
         refuse("run", "n", str(n), f"{table.n_events}, the events of the table of particles", "leave n out")
-    return None, table.n_events, table
+    return None, table.n_events, table, events

@@ -1,9 +1,10 @@
 """Read a HepMC file in a process of its own: pyhepmc ends the process that reads some damaged files.
 
-`cgemit.particles.table` runs this file with the same interpreter, so it imports nothing of the package. The path comes
-from the standard input. Rows of nine float64 go to the standard output: the number of the event, then `COLUMNS`. After
-the rows of an event follows one of -1, the number of all its particles, and zeros. What pyhepmc cannot read goes to the
-standard error, with `REFUSED` as the exit code; other codes are those of a process that was ended.
+`cgemit.particles.records` runs this file with the same interpreter, so it imports nothing of the package. The path
+comes from the standard input. Rows of `WIDTH` float64 go to the standard output: the number of the event in the file,
+from 0, then `COLUMNS`. After the rows of an event follows one of -1, the number of all its particles, the number that
+the file gives the event, its weight, its time (ct, mm), and zeros. What pyhepmc cannot read goes to the standard error,
+with `REFUSED` as the exit code; other codes are those of a process that was ended.
 """
 
 from __future__ import annotations
@@ -13,18 +14,48 @@ import os
 import sys
 from typing import Any
 
-#: Values of a particle after the number of its event: mm, GeV/c.
-COLUMNS = ("pdg", "hepmc_id", "x", "y", "z", "px", "py", "pz")
+#: Values of a particle after the number of its event: mm, GeV/c. Times are lengths ct.
+COLUMNS = (
+    *("number", "pdg", "status", "mass", "x", "y", "z", "time", "px", "py", "pz"),
+    *("end_x", "end_y", "end_z", "end_time", "parent"),
+)
+WIDTH = 1 + len(COLUMNS)
 
 REFUSED = 3
-_FINAL = 1  # status of a particle that the generator did not let decay
+_FINAL, _DECAYED = 1, 2  # status of particles that the generator did not let decay, and of those that it did
 
 
-def _row(particle: Any) -> tuple[float, ...]:
-    """Return the values of a particle in the order of the columns."""
-    vertex, momentum = particle.production_vertex, particle.momentum
-    point = (0.0, 0.0, 0.0) if vertex is None else (vertex.position.x, vertex.position.y, vertex.position.z)
-    return (particle.pid, particle.id, *point, momentum.px, momentum.py, momentum.pz)
+def _rows(event: Any, number: int, mev: bool, cm: bool) -> list[float]:
+    """Return the values of the final and the decayed particles of an event.
+
+    The numbers of the event are converted here: `GenEvent.set_units` leaves the position of the event as it is.
+    """
+    momentum_unit, length_unit = 1e-3 if mev else 1.0, 10.0 if cm else 1.0
+    points: dict[int, tuple[float, float, float, float]] = {}
+
+    def point(vertex: Any) -> tuple[float, float, float, float]:
+        if vertex.id not in points:
+            at = vertex.position
+            points[vertex.id] = tuple(length_unit * one for one in (at.x, at.y, at.z, at.t))
+        return points[vertex.id]
+
+    nowhere = (float("nan"),) * 4
+    rows: list[float] = []
+    for particle in event.particles:
+        status = particle.status
+        if status not in (_FINAL, _DECAYED):
+            continue
+        born, ends = particle.production_vertex, particle.end_vertex
+        start = (0.0,) * 4 if born is None else point(born)
+        end = nowhere if status == _FINAL or ends is None else point(ends)
+        if status == _DECAYED and (end is nowhere or end[:3] == start[:3]):
+            continue
+        mothers = [] if born is None else born.particles_in
+        p = particle.momentum
+        rows += (number, particle.id, particle.pid, status, momentum_unit * particle.generated_mass, *start)
+        rows += (momentum_unit * p.px, momentum_unit * p.py, momentum_unit * p.pz, *end)
+        rows.append(mothers[0].id if mothers and mothers[0].id > 0 else -1)
+    return rows
 
 
 def _write(path: str, out: int) -> None:
@@ -32,16 +63,20 @@ def _write(path: str, out: int) -> None:
     from array import array
 
     pyhepmc: Any = importlib.import_module("pyhepmc")
-    zeros = [0.0] * (len(COLUMNS) - 1)
     with pyhepmc.open(path) as stream:
-        for number, event in enumerate(stream):
-            event.set_units(pyhepmc.Units.GEV, pyhepmc.Units.MM)
-            rows, particles = array("d"), event.particles
-            for particle in particles:
-                if particle.status == _FINAL:
-                    rows.append(number)
-                    rows.extend(_row(particle))
-            rows.extend([-1.0, len(particles), *zeros])
+        reader, number = stream._reader, 0
+        # Iterating over the stream would end at the first event without particles.
+        while not reader.failed() and reader.read_event(event := pyhepmc.GenEvent()):
+            if reader.failed() and not event.particles:
+                break  # nothing but the end of the file
+            mev = event.momentum_unit == pyhepmc.Units.MEV
+            cm = event.length_unit == pyhepmc.Units.CM
+            rows = array("d", _rows(event, number, mev, cm))
+            weights = event.weights
+            time = event.event_pos().t * (10.0 if cm else 1.0)
+            about = [-1.0, len(event.particles), event.event_number, weights[0] if weights else 1.0, time]
+            rows.extend(about + [0.0] * (WIDTH - len(about)))
+            number += 1
             data = memoryview(rows.tobytes())
             while data:
                 data = data[os.write(out, data) :]

@@ -15,8 +15,9 @@ from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.particles.decay_chains import DEFINITIONS, NAMES, SHOT, Draws, Particles, decay_all, directions, mass_of
 from cgemit.particles.gun import Guns, Source
+from cgemit.particles.records import ParticleError
 from cgemit.particles.species import species
-from cgemit.particles.table import FARTHEST, FASTEST, ParticleError
+from cgemit.particles.table import FARTHEST, FASTEST
 from cgemit.tables.schema import Array
 
 Floats = npt.NDArray[np.float64]

@@ -1,245 +1,77 @@
-"""Checked tables of particles from any source, HepMC files included."""
+"""Checked tables of particles from any source, files of other programs included."""
 
 from __future__ import annotations
 
-import gzip
-import importlib.util
+import csv
 import os
 import re
-import subprocess
-import sys
 import warnings
-from array import array
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import Problem, Problems, ProblemsError, did_you_mean
-from cgemit.base.files import check_regular, package
-from cgemit.particles import hepmc_process
-from cgemit.particles.species import KNOWN, UNKNOWN
+from cgemit import _core
+from cgemit.base.errors import Problem, Problems, did_you_mean
+from cgemit.base.files import check_regular, package, read_npz
+from cgemit.particles.records import (
+    ENDINGS,
+    ParticleError,
+    Record,
+    kind_of_root,
+    read_edm4hep,
+    read_hepmc,
+    read_hepmc_root,
+    taken,
+)
+from cgemit.particles.species import KNOWN, charge_of, is_nucleus, nuclear_mass
 from cgemit.tables import SCHEMAS, Table
-from cgemit.tables.formats import BY_SUFFIX
+from cgemit.tables.formats import BY_SUFFIX, is_own
 from cgemit.tables.schema import Array
 from cgemit.tables.show import columns_of
 from cgemit.tables.table import kind_problems
+from cgemit.units import QuantityError, parse_quantity
 
-#: Endings of the names of HepMC files.
-ENDINGS = (".hepmc", ".hepmc2", ".hepmc3", ".hepmc.gz", ".hepmc2.gz", ".hepmc3.gz")
-
-# Of momentum and length, as in a line "U GEV MM".
-_UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"MM", b"CM")}
-
-# A line of HepMC has some 200 bytes. A packed file may be much larger than it looks: only unpacked ones have any size.
-_LONGEST_LINE, _MOST_UNPACKED = 1_000_000, 1_000_000_000
-
-_DTYPES = {name: np.int64 if name in ("pdg", "hepmc_id") else np.float64 for name in hepmc_process.COLUMNS}
-
-
-class ParticleError(ProblemsError):
-    """Bad input about particles; `problems` lists every problem."""
-
-
-def read_hepmc(path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], int]:
-    """Return the particles of status 1 of a HepMC2 or HepMC3 file in text form, and the number of events.
-
-    Parameters
-    ----------
-    path : Path
-        With one of `ENDINGS`.
-
-    Returns
-    -------
-    columns : dict of str to ndarray
-        Each (n,): `event`, counted from 0 in the order of the file; `pdg`; `hepmc_id`, the number of the particle in
-        its event of the file; `x`, `y`, `z` of the production vertex, mm; `px`, `py`, `pz`, GeV/c.
-    n_events : int
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ParticleError
-        If it is damaged or no HepMC file, does not name its units, or unpacks to more than 1 GB.
-    """
-    check_regular(path)
-    if importlib.util.find_spec("pyhepmc") is None:
-        package("pyhepmc")  # says what installs it
-    # pyhepmc ends the process that reads some damaged files, so it reads in another one, which starts meanwhile.
-    command = [sys.executable, "-P", hepmc_process.__file__]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env=environment) as process:
-        try:
-            begins, counts = _events_of(path)
-            data, message = process.communicate(os.fsencode(path.absolute()))
-        except BaseException:
-            process.kill()
-            raise
-    values = np.frombuffer(data[: len(data) - len(data) % _ROW], np.float64).reshape(-1, 1 + len(_DTYPES))
-    is_end = values[:, 0] < 0
-    number = int(np.count_nonzero(is_end))
-    if process.returncode != 0:
-        refused = process.returncode == hepmc_process.REFUSED
-        reason = message.decode(errors="replace").strip() if refused else "pyhepmc ends the process that reads it"
-        _refuse(path, begins[number] if number < len(begins) else None, f"an event that cannot be read ({reason})")
-    if number != len(begins):
-        read = f"{number} of its {len(begins)} events can be read"
-        _refuse(path, begins[number] if number < len(begins) else None, f"an event that cannot be read: {read}")
-    read = values[is_end, 1].astype(np.int64)
-    lost = np.flatnonzero(read != counts)
-    if len(lost):
-        first = lost[0]
-        warnings.warn(
-            f"{path}: {read[first]} of the {counts[first]} particles of the event that begins in line {begins[first]} "
-            f"are read, of all events {read.sum()} of {sum(counts)}; vertices that no particle enters are left out",
-            stacklevel=3,
-        )
-    rows = values[~is_end].T
-    columns = {name: value.astype(dtype) for (name, dtype), value in zip(_DTYPES.items(), rows[1:], strict=True)}
-    return {"event": rows[0].astype(np.int64), **columns}, number
-
-
-#: Bytes of a row of the other process.
-_ROW = 8 * (1 + len(_DTYPES))
-
-
-def _refuse(path: Path, line: int | None, given: str, expected: str = "a complete HepMC file") -> NoReturn:
-    """Raise the error about a line of a file, or the file as a whole."""
-    raise ParticleError(str(path), [Problem("" if line is None else f"line {line}", given, expected)])
-
-
-def _events_of(path: Path) -> tuple[array[int], array[int]]:
-    """Return the lines that begin events, each with known units and all its lines, and their numbers of particles.
-
-    pyhepmc ends in silence where it cannot go on, takes GeV and mm where a file says nothing, or something else, and
-    takes particles for those of another vertex where lines are missing.
-    """
-    if path.suffix == ".gz" and _unpacks_to_too_much(path):
-        most = f"{_MOST_UNPACKED / 1e6:.0f} MB"
-        _refuse(path, None, f"more than {most} unpacked", f"at most {most}: split it, or unpack it before")
-    begins, counts, event = array("q"), array("q"), _Event(path)
-    marked, ended, number = False, False, 0
-    try:
-        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as stream:
-            while line := stream.readline(_LONGEST_LINE):
-                number += 1
-                if len(line) == _LONGEST_LINE:
-                    _refuse(path, number, f"a line of more than {_LONGEST_LINE} bytes")
-                key = line[:2]
-                if key == b"P ":
-                    event.particles += 1
-                elif key == b"V ":
-                    event.vertex(number, line)
-                elif key == b"E ":
-                    if begins:
-                        event.end(number)
-                        counts.append(event.particles)
-                    begins.append(number)
-                    event.begin(number, line)
-                elif key == b"U ":
-                    event.units(number, line)
-                elif line.startswith(b"HepMC::"):
-                    marked = marked or b"START_EVENT_LISTING" in line
-                    event.is_old = event.is_old or b"IO_GenEvent-START" in line
-                    ended = b"END_EVENT_LISTING" in line
-                    continue
-                ended = ended and not line.strip()
-    except (OSError, EOFError) as error:  # of an archive that is damaged
-        _refuse(path, None, str(error))
-    if not marked or not ended:
-        what = "a last line that does not end the list of events" if marked else "no beginning of a list of events"
-        _refuse(path, number if marked else None, what)
-    if begins:
-        event.end(number)
-        counts.append(event.particles)
-    return begins, counts
-
-
-class _Event:
-    """Counts of the lines of an event, against those that its first line and its vertices announce."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.is_old = path, False  # HepMC2
-        self.first = self.vertices = self.particles = 0
-        self.expected: list[int] = []  # particles; in HepMC2 also vertices
-        self.has_units = True
-
-    def begin(self, number: int, line: bytes) -> None:
-        words = line.split()
-        self.first, self.vertices, self.particles, self.has_units = number, 0, 0, False
-        # E event vertices particles, or E event interactions scale alpha alpha process signal vertices ...
-        found = self._whole(number, words, (8,) if self.is_old else (3,))
-        self.expected = [0, *found] if self.is_old else found
-
-    def vertex(self, number: int, line: bytes) -> None:
-        self.vertices += 1
-        if self.is_old and self.first:
-            # V number id x y z ct orphans outgoing weights: their particles follow before the next vertex.
-            self._check(number, "particles", self.particles, self.expected[0])
-            self.expected[0] += sum(self._whole(number, line.split(), (7, 8)))
-
-    def units(self, number: int, line: bytes) -> None:
-        words = line.split()[1:]
-        if tuple(words) not in _UNITS:
-            text = line.decode("ascii", "replace").strip()
-            _refuse(self.path, number, f"the units {text!r:.50}", "GEV or MEV, then MM or CM")
-        self.has_units = True
-
-    def end(self, number: int) -> None:
-        """Refuse an event that ends before a line, and is not complete."""
-        if not self.has_units:
-            _refuse(self.path, self.first, "an event that does not name its units", "a U line")
-        self._check(number, "particles", self.particles, self.expected[0])
-        if self.is_old:
-            self._check(number, "vertices", self.vertices, self.expected[1])
-
-    def _check(self, number: int, what: str, found: int, expected: int) -> None:
-        if found != expected:
-            event = f"{found} {what} of the event that begins in line {self.first}"
-            _refuse(self.path, number, f"{event}, before this line", f"{expected}, as announced")
-
-    def _whole(self, number: int, words: list[bytes], places: tuple[int, ...]) -> list[int]:
-        """Return numbers of a line that count something."""
-        found = [int(words[i]) for i in places if i < len(words) and words[i].isdigit()]
-        if len(found) != len(places):
-            text = b" ".join(words).decode("ascii", "replace")
-            names = " and ".join(str(i + 1) for i in places)
-            _refuse(self.path, number, f"{text!r:.60}", f"a whole number in column {names}")
-        return found
-
-
-def _unpacks_to_too_much(path: Path) -> bool:
-    try:
-        with gzip.open(path, "rb") as stream:
-            return stream.seek(_MOST_UNPACKED) == _MOST_UNPACKED and bool(stream.read(1))  # in small blocks
-    except (OSError, EOFError) as error:
-        _refuse(path, None, str(error))
-
-
-#: Largest coordinate (mm) and momentum (GeV/c) of a particle: far beyond any use, far from losing digits.
+#: Largest coordinate (mm) and momentum (GeV/c) of a simulated particle: far beyond any use, far from losing digits.
 FARTHEST, FASTEST = 1e6, 1e6
 
 
-def particles_from(source: Any, *, n_events: int | None = None, first_event: int | None = None) -> Table:
+def particles_from(
+    source: Any,
+    *,
+    n_events: int | None = None,
+    first_event: int | None = None,
+    charges: Mapping[int, int] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Table:
     """Make a table of particles from arrays, a data frame, a table, lists per event or a file.
+
+    Warnings count what is not simulated: charged particles at rest, far outside or of charge 2 and more, and what is
+    left out of event records.
 
     Parameters
     ----------
     source : Table, mapping, pandas.DataFrame, structured ndarray, awkward.Array or path
         Columns, each (n,): `event` int, `pdg` int, `px`, `py`, `pz` GeV/c are needed. `x`, `y`, `z` mm are 0
         where not given, `particle` (number within the event) counts the rows of the event, `charge` e and `mass`
-        GeV/c2 follow from `pdg`. Rows may come in any order; those of an event keep theirs. Further columns of
+        GeV/c2 follow from `pdg`. `time` is that of the production, ns (0 where not given), `decay_time` the time from
+        there to a decay whose products are other rows, ns (infinite: none). Other units are given in the name, as in
+        ``px [MeV]``. Rows may come in any order; those of an event keep theirs. Further columns of
         numbers are kept. An awkward array holds one list of records per event, or a record of lists; events are then
         counted from 0, unless there is a field `event`. A file is a table of particles as `Table.save` or
-        `Result.save` wrote it, or the text form of HepMC2 or HepMC3 (``.hepmc``, ``.hepmc3``, ``.hepmc.gz``; needs
-        pyhepmc), of which the particles of status 1 are taken, with their production vertices.
+        `Result.save` wrote it, a table of another program with these columns (``.csv``, ``.parquet``, ``.root``,
+        ``.npz``), or an event record: HepMC2 or HepMC3 as text (``.hepmc``, ``.hepmc3``, ``.hepmc.gz``; needs
+        pyhepmc) or in ROOT (``.hepmc3.tree.root``), or EDM4hep (``.root``). Of a record the particles of status 1 are
+        taken, with their production vertices, and the charged ones of status 2 that decay in the detector.
     n_events, first_event : int or None
         Events that the table covers. If not given, those that `source` covers if it is a table, else those from
         the smallest to the largest event number.
+    charges : mapping of int to int, or None
+        Charges in e of PDG numbers that tell none.
+    units : mapping of str to str, or None
+        Units of columns that do not name them, such as ``{"px": "MeV", "x": "cm"}``.
 
     Returns
     -------
@@ -255,14 +87,53 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     ValueError
         If a file is damaged, or needs a package that is not installed.
     """
-    given = n_events
+    return read_particles(source, n_events=n_events, first_event=first_event, charges=charges, units=units)[0]
+
+
+class Given(NamedTuple):
+    """Particles that no gun makes.
+
+    Attributes
+    ----------
+    particles : Table of kind "particles"
+    events : Table of kind "events", or None
+        None if the particles are of no event record.
+    """
+
+    particles: Table
+    events: Table | None
+
+
+def read_particles(
+    source: Any,
+    *,
+    n_events: int | None = None,
+    first_event: int | None = None,
+    charges: Mapping[int, int] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Given:
+    """Return the particles of `particles_from`, and the table of events of a record.
+
+    Parameters
+    ----------
+    source, n_events, first_event, charges, units
+        As in `particles_from`.
+
+    Returns
+    -------
+    Given
+    """
+    charges, given, numbers = _checked_charges(charges), n_events, None
     if isinstance(source, str | os.PathLike):
-        source, n_events = _from_file(Path(source), n_events)
+        source, numbers = _from_file(Path(source), charges)
+        n_events = len(numbers["number"]) if numbers is not None and n_events is None else n_events
     elif type(source).__module__.partition(".")[0] == "awkward":
         source, n_events = _from_lists(source, n_events)
+    if type(source).__module__.partition(".")[0] == "awkward":  # of a file
+        source, n_events = _from_lists(source, n_events)
     counted = n_events is not given  # from 0, with events that have no particles
-    columns = _columns(source)
-    problems = _missing(columns) or _problems(columns)
+    columns = _in_native_units(_columns(source), units)
+    problems = _missing(columns) or _problems(columns, charges)
     problems.report("table of particles", ParticleError)
     gaps = None
     if isinstance(source, Table):
@@ -279,23 +150,268 @@ def particles_from(source: Any, *, n_events: int | None = None, first_event: int
     first = first_event if first_event is not None else int(event[0]) if len(event) else 0
     number = n_events if n_events is not None else int(event[-1]) + 1 - first if len(event) else 0
     try:
-        return Table("particles", _filled(columns), number, first, events=gaps)
+        made = Table("particles", _filled(columns, charges), number, first, events=gaps)
     except ValueError as error:
         raise ParticleError("table of particles", [Problem("", str(error), "")]) from error
+    _tell_not_transported(made)
+    if numbers is None:
+        return Given(made, None)
+    rows = np.arange(first, first + number)
+    values = {name: column[rows] for name, column in numbers.items()}
+    return Given(made, Table("events", {"event": rows, **values}, number, first))
 
 
-def _from_file(path: Path, n_events: int | None) -> tuple[Any, int | None]:
-    """Return the columns or the table of a file, and the number of events if the file tells more than its rows."""
-    if path.name.endswith(ENDINGS):
-        columns, found = read_hepmc(path)
-        return columns, found if n_events is None else n_events
+def _checked_charges(charges: Mapping[int, int] | None) -> Mapping[int, int]:
+    """Return given charges of PDG numbers; raise an error that lists every wrong one."""
+    problems = Problems()
+    for pdg, charge in (charges or {}).items():
+        whole = all(isinstance(one, int | np.integer) and not isinstance(one, bool) for one in (pdg, charge))
+        if not whole or abs(charge) > _MOST_CHARGE:
+            problems.note(f"charges[{pdg!r:.30}]", f"{charge!r:.30}", "a whole PDG number and a whole charge in e")
+        elif int(pdg) in KNOWN and charge != KNOWN[int(pdg)].charge:
+            problems.note(f"charges[{pdg}]", str(charge), f"{KNOWN[int(pdg)].charge}, that of {KNOWN[int(pdg)].name}")
+    problems.report("table of particles", ParticleError)
+    return {int(pdg): int(charge) for pdg, charge in (charges or {}).items()}
+
+
+def not_transported(columns: Any) -> npt.NDArray[np.int8]:
+    """Return the `TransportStatus` (n,) of charged particles that the simulation does not transport; 0 for others.
+
+    Parameters
+    ----------
+    columns : Table or mapping of str to ndarray
+    """
+    p = [np.abs(columns[f"p{axis}"]) for axis in "xyz"]
+    reach = np.max([np.abs(columns[axis]) for axis in "xyz"], axis=0)
+    status = np.where(np.abs(columns["charge"]) > 1, _core.TransportStatus.multiply_charged, 0)
+    out = (reach > FARTHEST) | (np.max(p, axis=0) > FASTEST)
+    status = np.where(out, _core.TransportStatus.out_of_range, status)
+    status = np.where(np.max(p, axis=0) == 0, _core.TransportStatus.at_rest, status)
+    return np.where(columns["charge"] == 0, 0, status).astype(np.int8)
+
+
+def _tell_not_transported(particles: Table) -> None:
+    """Warn of charged particles that are not simulated."""
+    if not len(particles):
+        return
+    status = not_transported(particles)
+    what = {
+        _core.TransportStatus.at_rest: "at rest",
+        _core.TransportStatus.out_of_range: f"born beyond {FARTHEST:g} mm, or above {FASTEST:g} GeV/c",
+        _core.TransportStatus.multiply_charged: "of charge 2 e and more",
+    }
+    parts = [f"{n} {text}" for one, text in what.items() if (n := int(np.count_nonzero(status == one)))]
+    if parts:
+        warnings.warn(
+            f"table of particles: charged particles that are not simulated, as their status says: {', '.join(parts)}",
+            stacklevel=4,
+        )
+
+
+_REFUSED_ENDINGS = {
+    (".lhe", ".lhe.gz", ".lhef"): (
+        "Les Houches events, which hold partons", "hadrons: shower the file with Pythia 8 or Herwig, and write HepMC"
+    ),
+    (".hepevt", ".hepevt.gz"): (
+        "HEPEVT, which does not name its units",
+        "HepMC: read it with pyhepmc.open(path, format='HEPEVT'), set the units, and write it",
+    ),
+    (".slcio", ".stdhep"): (
+        "a file of LCIO or StdHep", "EDM4hep or HepMC: convert it with lcio2edm4hep, or stdhep2hepmc"
+    ),
+}  # fmt: skip
+
+
+def _from_file(path: Path, charges: Mapping[int, int]) -> tuple[Any, dict[str, Array] | None]:
+    """Return the columns or the table of a file, and the columns of its events if it is a record."""
+    for endings, (given, expected) in _REFUSED_ENDINGS.items():
+        if path.name.lower().endswith(endings):
+            raise ParticleError(str(path), [Problem("", given, expected)])
+    kind = "hepmc text" if path.name.endswith(ENDINGS) else path.suffix
+    if kind == ".root":
+        kind = kind_of_root(path)
+    if kind in _RECORDS:
+        read, name = _RECORDS[kind]
+        record: Record = read(path)
+        return taken(record, path, charges, name), record.events
+    if kind == ".csv" or kind == "other":
+        return (_read_csv(path) if kind == ".csv" else _read_tree(path)), None
     if path.suffix not in BY_SUFFIX:
-        known = ", ".join((*BY_SUFFIX, *ENDINGS))
+        known = ", ".join((*BY_SUFFIX, ".csv", *ENDINGS))
         raise ParticleError("table of particles", [Problem("", f"the file {str(path)[:80]!r}", f"one of {known}")])
+    check_regular(path)
+    if not is_own(path):
+        return _read_plain(path), None
     table = Table.load(path)
     if table.kind != "particles":
         raise ParticleError(str(path), [Problem("", f"a table of kind {table.kind!r}", "'particles'")])
-    return table, n_events
+    return table, None
+
+
+_RECORDS: Mapping[str, tuple[Any, str]] = {
+    "hepmc text": (read_hepmc, "hepmc_id"), "hepmc": (read_hepmc_root, "hepmc_id"),
+    "edm4hep": (read_edm4hep, "edm4hep_id"),
+}  # fmt: skip
+
+
+def _refuse_plain(path: Path, problems: list[Problem]) -> NoReturn:
+    """Raise the error about a table of another program."""
+    raise ParticleError(f"{path}, a table of another program", problems)
+
+
+def _numbers_of(path: Path, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns of numbers of a table of another program, with the needed ones; count the others in a note."""
+    numbers = {name: column for name, column in columns.items() if column.ndim == 1 and column.dtype.kind in "iufb"}
+    names = {_name_and_unit(name)[0] for name in numbers}
+    missing = [name for name in _NEEDED if name not in names]
+    if missing:
+        found = ", ".join(list(numbers)[:20]) or "none"
+        expected = f"the columns {', '.join(_NEEDED)} of one number a row (x, y, z, charge, mass, time are optional)"
+        _refuse_plain(
+            path, [Problem("", f"no column {', '.join(missing)} among columns of numbers: {found}", expected)]
+        )
+    if left := [name for name in columns if name not in numbers]:
+        warnings.warn(f"{path}: columns without one number a row are left out: {', '.join(left)}", stacklevel=5)
+    return numbers
+
+
+def _read_plain(path: Path) -> dict[str, Array]:
+    """Return the columns of an npz or Parquet file of another program."""
+    try:
+        if path.suffix == ".npz":
+            columns = read_npz(path, None)
+        else:
+            with package("pyarrow.parquet").ParquetFile(path) as file:
+                table = file.read(use_threads=False)
+            columns = {name: table[name].to_numpy() for name in table.column_names}
+    except ImportError:
+        raise
+    except Exception as error:  # of numpy, pyarrow: a damaged file is bad input, whatever notices it
+        raise ParticleError(
+            str(path), [Problem("", f"a file that cannot be read ({error})", "a whole file")]
+        ) from error
+    return _numbers_of(path, columns)
+
+
+def _read_tree(path: Path) -> Any:
+    """Return the columns of the tree of a ROOT file of another program; lists per event as an awkward array."""
+    with package("uproot").open(path) as file:
+        trees = {name: file[name] for name, kind in file.classnames().items() if kind in ("TTree", "ROOT::RNTuple")}
+        for tree in trees.values():
+            names = {_name_and_unit(str(name))[0]: str(name) for name in tree.keys()}  # noqa: SIM118
+            lists = set(_NEEDED[1:]) <= names.keys()
+            if not lists:
+                continue
+            wanted = [names[name] for name in (*_NEEDED, *_OPTIONAL) if name in names]
+            arrays = tree.arrays(wanted, library="ak")
+            depth = {name: arrays[name].ndim for name in wanted}
+            if set(depth.values()) == {2}:
+                return arrays
+            if left := [str(name) for name in tree.keys() if str(name) not in wanted]:  # noqa: SIM118
+                warnings.warn(f"{path}: branches that mean nothing here are left out: {', '.join(left)}", stacklevel=5)
+            flat = [name for name in wanted if depth[name] == 1]
+            return _numbers_of(path, {name: arrays[name].to_numpy() for name in flat})
+        found = "; ".join(
+            f"{name.partition(';')[0]} with {', '.join(tree.keys()[:20])}" for name, tree in trees.items()
+        )
+        expected = f"a tree with the branches {', '.join(_NEEDED)}, or an event record of HepMC3 or EDM4hep"
+        _refuse_plain(path, [Problem("", f"trees: {found or 'none'}", expected)])
+
+
+def _read_csv(path: Path) -> dict[str, Array]:
+    """Return the columns of a csv file: a first line of names; commas, semicolons or tabs; # begins a comment."""
+    check_regular(path)
+    try:
+        lines = [
+            (number, line)
+            for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith("#")
+        ]
+    except UnicodeDecodeError as error:
+        raise ParticleError(str(path), [Problem("", f"bytes that are no text ({error})", "a csv file")]) from error
+    if not lines:
+        _refuse_plain(path, [Problem("", "no lines", "a line of names, and a line a particle")])
+    separator = max(",;\t", key=lines[0][1].count)
+    names, *rows = csv.reader((line for _, line in lines), delimiter=separator, skipinitialspace=True)
+    names = [name.strip() for name in names]
+    problems = [
+        Problem(f"line {number}", f"{len(row)} values", f"{len(names)}, as the line of names has")
+        for (number, _), row in zip(lines[1:], rows, strict=True)
+        if len(row) != len(names)
+    ]
+    if len(set(names)) < len(names):
+        problems.append(Problem(f"line {lines[0][0]}", "a name twice", "different names"))
+    if problems:
+        more = [] if len(problems) <= 10 else [Problem("", f"{len(problems) - 10} more such lines", "")]
+        _refuse_plain(path, problems[:10] + more)
+    columns: dict[str, Array] = {}
+    for k, name in enumerate(names):
+        texts = [row[k] for row in rows]
+        try:
+            columns[name] = np.array(texts, np.float64) if texts else np.empty(0)
+        except ValueError:
+            if _name_and_unit(name)[0] in (*_NEEDED, *_OPTIONAL):
+                bad = next(i for i, text in enumerate(texts) if not _is_number(text))
+                problems.append(Problem(f"line {lines[1 + bad][0]}", f"{name} {texts[bad]!r:.40}", "a number"))
+            columns[name] = np.array(texts)
+    if problems:
+        _refuse_plain(path, problems)
+    return _numbers_of(path, columns)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+_HEADER = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
+_DIMENSIONS = (
+    dict.fromkeys(("px", "py", "pz", "mass"), "energy") | dict.fromkeys("xyz", "length")
+    | dict.fromkeys(("time", "decay_time"), "time")
+)  # fmt: skip
+
+
+def _name_and_unit(header: str) -> tuple[str, str]:
+    """Return the name and unit of a column such as ``px [MeV]``; the whole text and no unit for columns without one."""
+    match = _HEADER.fullmatch(header.strip())
+    known = (*_NEEDED, *_OPTIONAL, "particle")
+    return (match[1], match[2].strip()) if match and match[1] in known else (header, "")
+
+
+def _in_native_units(columns: Mapping[str, Array], units: Mapping[str, str] | None) -> dict[str, Array]:
+    """Return columns without units in their names, in GeV, mm and ns."""
+    problems, out, given = Problems(), {}, dict(units or {})
+    for header, column in columns.items():
+        name, unit = _name_and_unit(header)
+        if name in out:
+            problems.note(header, "a second column of this name", "one")
+        other = given.pop(name, "")
+        if unit and other and unit != other:
+            problems.note(f"units[{name!r}]", repr(other), f"{unit!r}, as the name of the column says")
+        unit = unit or other
+        out[name] = column
+        if not unit:
+            continue
+        if name not in _DIMENSIONS:
+            if unit not in ("", "-", "1", "e"):
+                problems.note(header, f"the unit {unit!r:.40}", "none: it is a pure number")
+            continue
+        dimension = _DIMENSIONS[name]
+        plain = re.sub(r"/c(\^?2|²)?$", "", unit) if dimension == "energy" else unit
+        try:
+            factor = parse_quantity(f"1 {plain}", dimension)
+        except QuantityError as error:
+            problems.note(header, f"the unit {unit!r:.40}", error.expected)
+            continue
+        if factor != 1:
+            out[name] = column * factor if column.ndim == 1 and column.dtype.kind in "iufb" else column
+    for name, unit in given.items():
+        problems.note(f"units[{name!r}]", repr(unit), f"a unit of one of the columns {', '.join(out)}")
+    problems.report("table of particles", ParticleError)
+    return out
 
 
 def _from_lists(source: Any, n_events: int | None) -> tuple[dict[str, Array], int | None]:
@@ -335,13 +451,13 @@ def check_particles(particles: Table) -> None:
         Listing every problem of the columns.
     """
     wrong = [Problem("", one, "") for one in kind_problems(particles=particles)]
-    problems = Problems(wrong) or _problems(particles.columns)
+    problems = Problems(wrong) or _problems(particles.columns, {})
     problems.report("table of particles", ParticleError)
 
 
-def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
+def _filled(columns: Mapping[str, Array], charges: Mapping[int, int]) -> dict[str, Array]:
     """Return the columns with those that may be left out, whole numbers as integers."""
-    charge, mass = _charge_and_mass(columns["pdg"])
+    charge, mass, _ = _charge_and_mass(columns["pdg"], charges)
     zeros = {name: np.zeros(len(mass)) for name in ("x", "y", "z", "status")}
     filled: dict[str, Array] = {"charge": charge, "mass": mass, **zeros, **columns}
     for name in (*_FLOATS, *_WHOLE):
@@ -350,6 +466,9 @@ def _filled(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 _NEEDED = ("event", "pdg", "px", "py", "pz")
+_OPTIONAL = ("x", "y", "z", "charge", "mass", "time", "decay_time", "particle")
+_MOST_CHARGE = 127
+_LARGEST = 1e12  # mm or GeV/c: no number of a particle
 _FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
 _WHOLE = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "i")
 _VERTEX = re.compile(r"(?:v|vtx_?|vertex_?|prod(?:uction)?_?)?([xyz])(?:_?[cm]?m)?", re.IGNORECASE)
@@ -384,36 +503,44 @@ def _missing(columns: Mapping[str, Array]) -> Problems:
     return problems
 
 
-def _problems(columns: Mapping[str, Array]) -> Problems:
+def _problems(columns: Mapping[str, Array], charges: Mapping[int, int]) -> Problems:
     """Return the problems of the values."""
     bad: dict[tuple[str, str], tuple[str, npt.NDArray[np.bool_]]] = {}
     for name, column in columns.items():
-        if name in _FLOATS:
+        if name in _FLOATS or name == "time":
             bad[name, "is not finite"] = name, ~np.isfinite(column)
         elif name in _WHOLE:
             bad[name, "is not a whole number"] = name, ~(np.isfinite(column) & (column == np.rint(column)))
+    if "decay_time" in columns:
+        bad["decay_time", "is not above 0"] = "decay_time", ~(columns["decay_time"] > 0)
+    for name in ("x", "y", "z", "px", "py", "pz"):
+        if name in columns:
+            column = columns[name]
+            bad[name, f"is beyond +-{_LARGEST:g}"] = name, np.isfinite(column) & (np.abs(column) > _LARGEST)
     event, pdg = columns["event"], columns["pdg"]
     bad["event", "is negative"] = "event", event < 0
     bad["event", f"is above {_LAST_EVENT}"] = "event", event > _LAST_EVENT
-    bad |= _too_large(columns)
-    bad["px, py, pz", "are all zero"] = "px", (columns["px"] == 0) & (columns["py"] == 0) & (columns["pz"] == 0)
     known = np.isin(pdg, list(KNOWN))
-    # Neutral particles leave no hits, so that the mass of unknown ones does not matter.
-    unknown = ~known & (columns.get("charge", np.ones(len(pdg))) != 0)
-    if not {"charge", "mass"} <= set(columns):
-        bad["pdg", "is unknown and the columns charge and mass are not both there"] = "pdg", unknown
-    usual, masses = _charge_and_mass(pdg)
+    usual, masses, told = _charge_and_mass(pdg, charges)
     charge = columns.get("charge", usual)
+    if "charge" not in columns:
+        way = "give charges={pdg: charge}, or a column charge"
+        bad["pdg", f"is unknown and does not tell the charge: {way}"] = "pdg", ~told
+    # Neutral particles leave no hits, so that the mass of unknown ones does not matter.
+    if "mass" not in columns:
+        bad["pdg", "is unknown, and there is no column mass"] = (
+            "pdg",
+            (told | ("charge" in columns)) & (charge != 0) & (masses == 0),
+        )
     if "charge" in columns:
         bad["charge", "is not that of the pdg number"] = "charge", known & (charge != usual)
-        # Scattering, energy loss and the momentum of a helix are those of unit charge.
-        bad["charge", "is none of -1, 0 and 1"] = "charge", np.abs(charge) > 1
+        bad["charge", f"is beyond +-{_MOST_CHARGE}"] = "charge", np.abs(charge) > _MOST_CHARGE
     if "mass" in columns:
         bad["mass", "is negative"] = "mass", columns["mass"] < 0
         bad["mass", "is 0 for a charged particle"] = "mass", (columns["mass"] == 0) & (charge != 0)
         # Resonances vary by less than that; a mass in MeV/c2 or of another particle does not.
         ratio = columns["mass"] / np.where(masses > 0, masses, 1.0)
-        far = known & (usual != 0) & (columns["mass"] > 0) & ((ratio < 0.5) | (ratio > 2.0))
+        far = (masses > 0) & (usual != 0) & (columns["mass"] > 0) & ((ratio < 0.5) | (ratio > 2.0))
         bad["mass", "is not that of the pdg number"] = "mass", far
     if "particle" in columns:
         bad["particle", "is negative"] = "particle", columns["particle"] < 0
@@ -422,16 +549,6 @@ def _problems(columns: Mapping[str, Array]) -> Problems:
     if len(event) and not problems and np.ptp(event) >= _MOST_EVENTS:
         problems.note("event", f"{event.min()} to {event.max()}", f"numbers within {_MOST_EVENTS} events")
     return problems
-
-
-def _too_large(columns: Mapping[str, Array]) -> dict[tuple[str, str], tuple[str, npt.NDArray[np.bool_]]]:
-    """Mark finite coordinates and momenta beyond their limits."""
-    limits = dict.fromkeys("xyz", (FARTHEST, "mm")) | dict.fromkeys(("px", "py", "pz"), (FASTEST, "GeV/c"))
-    return {
-        (name, f"is beyond +-{most:g} {unit}"): (name, np.isfinite(columns[name]) & (np.abs(columns[name]) > most))
-        for name, (most, unit) in limits.items()
-        if name in columns
-    }
 
 
 def _problem(what: tuple[str, str], column: Array, rows: npt.NDArray[np.bool_]) -> Problem:
@@ -448,10 +565,22 @@ def _repeated(event: Array, particle: Array) -> npt.NDArray[np.bool_]:
     return repeated
 
 
-def _charge_and_mass(pdg: Array) -> tuple[Array, Array]:
-    """Return charge (int8, e) and mass (float64, GeV/c2) of each PDG number; 0 where it is unknown."""
+def _charge_and_mass(pdg: Array, charges: Mapping[int, int]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Return charge (e) and mass (GeV/c2) of each PDG number, 0 where unknown, and whether it tells the charge."""
     numbers, place = np.unique(pdg, return_inverse=True)
-    known = [KNOWN.get(int(number), UNKNOWN) if np.isfinite(number) else UNKNOWN for number in numbers]
-    charge = np.array([one.charge for one in known], np.int8)
-    mass = np.array([one.mass for one in known], np.float64)
-    return charge[place], mass[place]
+    whole = [int(number) if np.isfinite(number) else 0 for number in numbers]
+    found = [charges.get(number, charge_of(number)) for number in whole]
+    charge = np.array([one or 0 for one in found], np.int16)
+    masses = [_mass_of(number) for number in whole]
+    return (
+        charge[place],
+        np.array(masses, np.float64)[place],
+        np.array([one is not None for one in found], np.bool_)[place],
+    )
+
+
+def _mass_of(pdg: int) -> float:
+    """Return the mass of a listed particle or a nucleus, GeV/c2; 0 if it is unknown."""
+    if pdg in KNOWN:
+        return KNOWN[pdg].mass
+    return nuclear_mass(pdg) if is_nucleus(pdg) else 0.0

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+import numpy as np
+
 from cgemit import _core
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, check_numbers
 from cgemit.detector import Detector, Screening, compiled, load
 from cgemit.particles.species import compiled_decays
-from cgemit.particles.table import check_particles
+from cgemit.particles.table import check_particles, not_transported
 from cgemit.tables import Table
 
 Fluctuations = Literal["full", "gaussian", "off"]
@@ -144,13 +146,26 @@ def transport(detector: Detector, particles: Table, settings: SimulateSettings, 
     """
     out = _core.simulate(**core_arguments(detector, particles, settings, seed))
     cover = particles.cover
+    status = not_transported(particles)
+    if "time" in particles and particles["time"].any():
+        for name in ("decays", "truths", "wire_truths"):
+            out[name]["time"] = out[name]["time"] + _of_particles(particles, out[name], "time")
     return {
-        "particles": particles.with_columns(status=out["status"]),
+        "particles": particles.with_columns(status=np.where(status > 0, status, out["status"]).astype(np.int8)),
         "decays": Table("decays", out["decays"], **cover),
         "truths": Table("truths", out["truths"], **cover),
         "steps": Table("steps", out["steps"], **cover),
         "wire_truths": Table("wire_truths", out["wire_truths"], **cover),
     }
+
+
+def _of_particles(particles: Table, rows: Mapping[str, Any], name: str) -> Any:
+    """Return the values of a column of the particles, for rows with their event and number."""
+    first, most = particles.first_event, int(particles["particle"].max(initial=0)) + 1
+    key = (particles["event"] - first) * most + particles["particle"]
+    order = np.argsort(key, kind="stable")
+    wanted = (np.asarray(rows["event"]) - first) * most + np.asarray(rows["particle"])
+    return particles[name][order[np.searchsorted(key[order], wanted)]]
 
 
 def core_arguments(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Any]:
@@ -168,9 +183,14 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
     dict of str to object
         Arguments of ``_core.simulate`` by name.
     """
+    columns = {name: particles[name] for name in _COLUMNS}
+    if (left_out := not_transported(particles) > 0).any():
+        columns["charge"] = np.where(left_out, 0, columns["charge"]).astype(np.int8)
+    if "decay_time" in particles:
+        columns["decay_time"] = particles["decay_time"].astype(np.float64)
     return {
         "detector": compiled(detector, not settings.sublayers, settings.screening, settings.foil),
-        "particles": {name: particles[name] for name in _COLUMNS},
+        "particles": columns,
         "fluctuations": getattr(_core.Fluctuations, settings.fluctuations),
         "deltas": settings.deltas,
         "steps": settings.steps,

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import zipfile
 import zlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -194,6 +195,30 @@ def load(path: str | os.PathLike[str]) -> Arguments:
     """Read the arguments of `Table` from a file, whose ending tells the format; see `Table.load`."""
     arrays, about = _read(Path(path), None)
     return about["kind"], arrays, about["n_events"], about["first_event"], about["meta"], about.get("events")
+
+
+def is_own(path: Path) -> bool:
+    """Return whether a file holds a description of a table, whole or not, or cannot be looked into.
+
+    Parameters
+    ----------
+    path : Path
+        Its ending tells the format.
+    """
+    form = BY_SUFFIX.get(path.suffix, FORMATS["npz"]).name
+    try:
+        if form == "parquet":
+            with package("pyarrow.parquet").ParquetFile(path) as file:
+                return _KEY.encode() in (file.schema_arrow.metadata or {})
+        if form == "root":
+            with package("uproot").open(path) as file:
+                return any(name.partition(";")[0] == _KEY for name in file.keys(recursive=False))
+        with zipfile.ZipFile(path) as archive:
+            return f"{_META}.npy" in archive.namelist()
+    except (FileNotFoundError, MissingPackageError):
+        raise
+    except Exception:  # of a damaged file: reading it tells what is wrong
+        return True
 
 
 def load_columns(path: Path, names: Collection[str]) -> dict[str, Array]:

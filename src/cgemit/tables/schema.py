@@ -380,8 +380,16 @@ _SEARCHES = (
     column_of("i1", "limits", "", "sum of the limits that the search has reached (SearchLimits); 0 none"),
 )
 
+_EVENTS = (
+    EVENT,
+    column_of("i8", "number", "", "number that the generator gave the event"),
+    real("weight", "", "first weight; 1 without any"),
+    real("time", "ns", "time of the event's position; 0 without one"),
+)
+
 _KINDS = (
     ("particles", _PARTICLES, "one generated particle"),
+    ("events", _EVENTS, "one event of a generator's record"),
     ("decays", _DECAYS, "one charged daughter of a decay in flight"),
     ("truths", _TRUTHS, "one crossing of a CGEM drift gap, or of the sensor of another layer"),
     ("steps", _STEPS, "one deposit in a CGEM drift gap: a step of a delta electron, or an ionization cluster"),

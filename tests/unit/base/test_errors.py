@@ -20,7 +20,8 @@ from cgemit.detector import DetectorError, load, write_field_map
 from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 from cgemit.draw.style import new_picture
 from cgemit.particles.gun import Gun, generate
-from cgemit.particles.table import ParticleError, particles_from
+from cgemit.particles.records import ParticleError
+from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import by_truth
 from cgemit.reconstruction.fit import FitSettings, fit

@@ -29,8 +29,8 @@ from cgemit.particles.decay_chains import (
     phase_space,
 )
 from cgemit.particles.gun import generate
+from cgemit.particles.records import ParticleError
 from cgemit.particles.species import species
-from cgemit.particles.table import ParticleError
 from stats import assert_within, fraction_error, mean_error
 
 N = 4000

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import lzma
+import re
 import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import awkward as ak
 import numpy as np
+import pandas as pd
 import pyhepmc
 import pytest
+import uproot
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.particles import table
+from cgemit.particles import records, species
 from cgemit.particles.gun import generate
-from cgemit.particles.table import ParticleError, particles_from, read_hepmc
+from cgemit.particles.records import ParticleError, read_hepmc
+from cgemit.particles.table import particles_from, read_particles
 
 DESIGN = "besiii-cgem-design"
 
@@ -72,7 +78,8 @@ def test_hepmc_is_read_with_its_units_and_vertices(file: Path) -> None:
 
 def test_hepmc_runs_as_the_same_columns_do(file: Path, tmp_path: Path) -> None:
     result = cg.run(DESIGN, file, seed=2)
-    assert result == cg.run(DESIGN, particles_from(file), seed=2)
+    other = cg.run(DESIGN, particles_from(file), seed=2)
+    assert {name: table for name, table in result.tables.items() if name != "events"} == dict(other.tables)
     assert (result.n_events, result.gun) == (4, None)
     assert result.tracks["event"].tolist() == [1, 1, 2, 2]
     packed = tmp_path / "events.hepmc.gz"
@@ -105,14 +112,14 @@ def test_packed_hepmc_that_unpacks_to_too_much_is_refused(
 ) -> None:
     data, packed = file.read_bytes(), tmp_path / "packed.hepmc.gz"
     packed.write_bytes(gzip.compress(data))
-    monkeypatch.setattr(table, "_MOST_UNPACKED", len(data))
-    assert len(read_hepmc(packed)[0]["pdg"]) > 0
-    monkeypatch.setattr(table, "_MOST_UNPACKED", len(data) - 1)
+    monkeypatch.setattr(records, "_MOST_UNPACKED", len(data))
+    assert len(read_hepmc(packed).columns["pdg"]) > 0
+    monkeypatch.setattr(records, "_MOST_UNPACKED", len(data) - 1)
     with pytest.raises(
         ValueError, match=r"packed.hepmc.gz: 1 problem\n  got more than .* MB unpacked, expected at most"
     ):
         read_hepmc(packed)
-    assert len(read_hepmc(file)[0]["pdg"]) > 0  # its size is there to see
+    assert len(read_hepmc(file).columns["pdg"]) > 0  # its size is there to see
 
 
 def test_hepmc_without_lines_is_refused_before_it_is_unpacked(file: Path, tmp_path: Path) -> None:
@@ -132,7 +139,7 @@ def test_other_damaged_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         particles_from(tmp_path / "missing.hepmc")
     with pytest.raises(
-        ParticleError, match=r"got the file 'events.txt', expected one of .npz, .parquet, .root, .hepmc"
+        ParticleError, match=r"got the file 'events.txt', expected one of .npz, .parquet, .root, .csv, .hepmc"
     ):
         particles_from("events.txt")
     cg.Table.empty("digis").save(tmp_path / "digis.npz")
@@ -210,7 +217,7 @@ HepMC::Asciiv3-END_EVENT_LISTING
 def test_units_of_hepmc(units, px, tmp_path):
     path = tmp_path / "events.hepmc3"
     path.write_text(HEPMC.format(units=units))
-    assert read_hepmc(path)[0]["px"].tolist() == pytest.approx([px])
+    assert particles_from(path)["px"].tolist() == pytest.approx([px])
 
 
 @pytest.mark.parametrize("units", ["TEV MM", "GEV FOOT", "GEV", "gev mm"])
@@ -295,8 +302,8 @@ HepMC::Asciiv3-END_EVENT_LISTING
 @pytest.mark.parametrize(("name", "text"), [("a.hepmc2", OLD_HEPMC), ("a.hepmc3", NEW_HEPMC)])
 def test_hepmc_of_both_forms_gives_the_numbers_of_its_lines(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
-    columns, n_events = read_hepmc(tmp_path / name)
-    assert n_events == 1
+    columns = particles_from(tmp_path / name)
+    assert columns.n_events == 1
     order = np.argsort(-columns["pdg"])
     assert columns["pdg"][order].tolist() == [211, 13, -211]
     assert columns["x"][order].tolist() == [4.0, 1.0, 4.0]
@@ -343,7 +350,7 @@ def test_hepmc_whose_lines_are_not_those_announced_is_refused(
 def test_particles_that_pyhepmc_leaves_out_are_counted(tmp_path: Path) -> None:
     (tmp_path / "a.hepmc2").write_text(OLD_HEPMC.replace(" 0 0 -2 0", " 0 0 0 0"))  # nothing enters the second vertex
     with pytest.warns(UserWarning, match="a.hepmc2: 4 of the 6 particles of the event that begins in line 3 are read"):
-        assert read_hepmc(tmp_path / "a.hepmc2")[0]["pdg"].tolist() == [13]
+        assert particles_from(tmp_path / "a.hepmc2")["pdg"].tolist() == [13]
 
 
 def damaged(text: str, random: np.random.Generator) -> str:
@@ -387,3 +394,360 @@ def test_no_damaged_hepmc_ends_the_process(tmp_path: Path) -> None:
         except ParticleError:
             refused += 1
     assert 50 < refused < 200
+
+
+HEAD = "HepMC::Version 3.02.05\nHepMC::Asciiv3-START_EVENT_LISTING\nW Default\n"
+END = "HepMC::Asciiv3-END_EVENT_LISTING\n"
+PION = "P {} -1 211 0.4 0.1 0.3 0.55 0.1396 1\n"
+
+
+def written(folder: Path, lines: str, first: str = "E 0 1 3") -> Path:
+    """Return a file with an event: an electron ends at (0, 0, 1.5) mm in a pion and other particles."""
+    path = folder / "a.hepmc3"
+    event = f"{first}\nU GEV MM\nP 1 0 11 0 0 -10 10 0 4\nV -1 0 [1] @ 0 0 1.5 0\n" + PION.format(2)
+    path.write_text(HEAD + event + lines + END)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("line", "charge", "mass", "status", "message"),
+    [
+        ("P 3 -1 1000020040 3 0.01 1 4.9 3.7274 1", 2, 3.7273794118, "multiply_charged", "1 of charge 2 e and more"),
+        ("P 3 -1 -1000822080 0.1 0 9 9 193.7 1", -82, 193.687, "multiply_charged", "1 of charge 2 e and more"),
+        ("P 3 -1 1000022 1 0 1 100 100 1", 0, 100, "neutral", ""),
+        ("P 3 -1 1000024 50 0 1 112 100 1", 1, 100, "outside", ""),
+        (
+            "P 3 -1 -4900211 1 0 1 2 0.5 1",
+            0,
+            0.5,
+            "neutral",
+            r"1 particles whose charge is not known .* -4900211 .1.; gi",
+        ),
+        ("P 3 -1 2112 0 0 0 0.94 0.94 1", 0, 0.93957, "neutral", ""),
+        ("P 3 -1 2212 0 0 0 0.94 0.94 1", 1, 0.93827, "at_rest", "1 at rest"),
+        ("P 3 -1 13 1e7 0 0 1e7 0.1 1", -1, 0.10566, "out_of_range", "or above 1e.06 GeV/c"),
+    ],
+)
+def test_strange_particles_stay_with_a_status(line, charge, mass, status, message, tmp_path, recwarn):
+    """One particle never refuses a file, and the others of the event have their tracks."""
+    result = cg.run(DESIGN, written(tmp_path, line + "\n"), seed=1)
+    assert len(recwarn) == bool(message)
+    if message:
+        assert re.search(message, str(recwarn[0].message))
+    assert result.particles["charge"].tolist() == [1, charge]
+    assert result.particles["mass"][1] == pytest.approx(mass, rel=1e-4)
+    assert cg.TransportStatus(result.particles["status"][1]).name == status
+    assert len(result.tracks) == (2 if status == "outside" else 1)
+
+
+def test_charges_of_unknown_particles(tmp_path, capsys):
+    path = written(tmp_path, "P 3 -1 4900211 1 0 1 1.5 0.5 1\n")
+    result = cg.run(DESIGN, path, seed=1, charges={4900211: 1})
+    assert result.particles["charge"].tolist() == [1, 1]
+    assert result.tracks["status"].tolist() == [0, 0]
+    words = ["simulate", "-d", DESIGN, "--quiet", "--fit", "-o", str(tmp_path / "run"), "--seed", "1"]
+    assert main([*words, "--particles", str(path), "--charges", "4900211=1"]) == 0
+    assert cg.Result.load(tmp_path / "run") == result
+    assert main([*words, "--overwrite", "--charges", "4900211=1"]) == 2
+    assert "--charges: got charges without --particles" in capsys.readouterr().err
+    wrong = r"charges\[13\]: got 1, expected -1, that of mu-(.|\n)*charges\[99\]: got 0.5, expected a whole PDG number"
+    with pytest.raises(ValueError, match=wrong):
+        cg.run(DESIGN, path, charges={13: 1, 99: 0.5})
+    with pytest.raises(ValueError, match=r"charges: got .13: -1., expected none for a gun or a sample"):
+        cg.run(DESIGN, cg.Gun("mu-", p=1, theta=1), 1, charges={13: -1})
+
+
+def test_the_rules_of_pdg_numbers_give_the_listed_charges(monkeypatch):
+    listed = dict(species.KNOWN)
+    for pdg, one in listed.items():
+        monkeypatch.setattr(species, "KNOWN", {k: v for k, v in listed.items() if k != pdg})
+        assert species.charge_of(pdg) == one.charge, pdg
+
+
+@pytest.mark.parametrize(
+    ("pdg", "charge"),
+    [(2224, 2), (1114, -1), (-213, -1), (9000211, 1), (20413, 1), (541, 1), (12212, 1), (1000037, 1), (-1000011, 1),
+     (9900012, 0), (9900042, 2), (24, 1), (1000822080, 82), (1, None), (2203, None), (0, None), (4900022, None),
+     (1000612, None), (9221132, None)],
+)  # fmt: skip
+def test_charges_of_pdg_numbers(pdg, charge):
+    assert species.charge_of(pdg) == charge
+
+
+@pytest.mark.parametrize(
+    ("pdg", "mass"),
+    [(1000010010, 0.938272), (1000020030, 2.808391), (1000060120, 11.17486), (1000260560, 52.08977),
+     (1000822080, 193.6868)],
+)  # fmt: skip
+def test_masses_of_nuclei(pdg, mass):
+    """Of the atomic mass evaluation 2020, without electrons."""
+    assert species.nuclear_mass(pdg) == pytest.approx(mass, rel=1e-3)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("MM", 1), ("CM", 10)])
+@pytest.mark.parametrize(
+    "text", ["P 1 0 13 1 0 0.1 1.01 0.105 1\n", "P 1 0 443 0 0 0 3.1 3.1 4\nV -1 0 [1]\nP 2 -1 13 1 0 0.1 1 0.1 1\n"]
+)
+def test_the_position_of_the_event_has_its_units(unit, scale, text, tmp_path):
+    vertices, particles = text.count("V"), text.count("P")
+    path = tmp_path / "a.hepmc3"
+    path.write_text(HEAD + f"E 7 {vertices} {particles} @ 1 2 3 4\nU GEV {unit}\nW 2.5\n" + text + END)
+    found, events = read_particles(path)
+    assert [found[axis][0] for axis in "xyz"] == pytest.approx([scale, 2 * scale, 3 * scale])
+    assert found["time"][0] == pytest.approx(4 * scale / 299.792458)
+    assert events["number"].tolist() == [7]
+    assert events["weight"].tolist() == [2.5]
+    assert events["time"][0] == pytest.approx(4 * scale / 299.792458)
+
+
+def test_events_without_particles_and_their_numbers(tmp_path):
+    """The first, a middle and the last event have no particles."""
+    full = "E {} 1 2\nU GEV MM\nW {}\nP 1 0 443 0 0 0 3.1 3.1 4\nV -1 0 [1]\nP 2 -1 13 1 0 0.1 1.01 0.106 1\n"
+    empty = "E {} 0 0\nU GEV MM\nW 1\n"
+    lines = empty.format(9) + full.format(4, 0.5) + empty.format(5) + full.format(6, -2) + empty.format(7)
+    path = tmp_path / "a.hepmc3"
+    path.write_text(HEAD + lines + END)
+    result = cg.run(DESIGN, path, seed=1, keep=["particles", "events"], output=tmp_path / "run", workers=1)
+    assert result.particles["event"].tolist() == [1, 3]
+    assert result.n_events == 5
+    assert result.events["event"].tolist() == [0, 1, 2, 3, 4]
+    assert result.events["number"].tolist() == [9, 4, 5, 6, 7]
+    assert result.events["weight"].tolist() == [1, 0.5, 1, -2, 1]
+    with pytest.raises(ValueError, match=r"keep: got events, which this run does not make"):
+        cg.run(DESIGN, cg.Gun("mu-", p=1, theta=1), 1, keep=["events"])
+
+
+@pytest.mark.parametrize(("ending", "packed"), [("bz2", bz2.compress), ("xz", lzma.compress)])
+def test_packed_hepmc(ending, packed, file, tmp_path):
+    path = tmp_path / f"a.hepmc.{ending}"
+    path.write_bytes(packed(file.read_bytes()))
+    assert particles_from(path) == particles_from(file)
+    path.write_bytes(packed(file.read_bytes())[:-20])
+    with pytest.raises(ParticleError, match="expected a complete HepMC file"):
+        particles_from(path)
+
+
+DECAYS = """V -2 0 [3] @ 0 200 1.5 {ct}
+P 4 -2 -13 0.01 0.45 0.02 0.47 0.10566 1
+P 5 -2 14 0 0.05 0 0.05 0 1
+"""
+
+
+@pytest.mark.parametrize("ct", [0, 208.0])
+def test_decays_of_the_generator_end_the_flight(ct, tmp_path):
+    """A pion that the generator lets decay at 200 mm crosses the cells before, and its muon the others."""
+    line = "P 3 -1 211 0 0.5 0 0.519 0.13957 2\n"
+    path = written(tmp_path, line + DECAYS.format(ct=ct), "E 0 2 5")
+    with pytest.warns(UserWarning, match="of the charged particles of status 2, 1 are followed to their decay"):
+        result = cg.run({"base": "besiii-idc", "field": {"bz": "0 T"}}, path, seed=1, until="simulate")
+    assert result.particles["pdg"].tolist() == [211, 211, -13, 14]
+    assert result.particles["parent"].tolist() == [1, 1, 3, 3]
+    assert cg.TransportStatus(result.particles["status"][1]).name == "decayed"
+    time = ct / 299.792458 if ct else 200 * np.hypot(0.5, 0.13957) / 0.5 / 299.792458
+    assert result.particles["decay_time"][1] == pytest.approx(time)
+    wires = result.wire_truths
+    radius = np.hypot(wires["x"], wires["y"])
+    speed = 299.792458 * 0.5 / np.hypot(0.5, 0.13957)
+    assert radius[wires["particle"] == 1].max() < time * speed < radius[wires["particle"] == 2].min() + 12
+    assert len(result.decays) == 0
+    layers = wires["layer"]
+    assert not set(layers[wires["particle"] == 1]) & set(layers[wires["particle"] == 2])
+    assert set(layers[np.isin(wires["particle"], [1, 2])]) == set(range(43))
+
+
+def test_decays_within_the_beam_pipe_are_counted(tmp_path):
+    lines = "P 3 -1 3222 0 0.5 0 1.29 1.18937 2\nV -2 0 [3] @ 0 4 1.5 9\nP 4 -2 2212 0 0.4 0 1 0.938 1\n"
+    path = written(tmp_path, lines, "E 0 2 4")
+    with pytest.warns(UserWarning, match="1 that decay within 5 mm of the beam line are left out"):
+        assert particles_from(path)["pdg"].tolist() == [211, 2212]
+
+
+def test_late_particles_have_late_hits(tmp_path):
+    """By the time of production alone, in wires and in strips."""
+    early = {"event": [0, 1], "pdg": [13, 13], "px": [1.0, 1.0], "py": [0.0, 0.0], "pz": [0.1, 0.1]}
+    settings = cg.Settings(digitize=cg.DigitizeSettings(wire_times="raw"))
+    late = early | {"time": [0.0, 7.0]}
+    a, b = (cg.run("besiii-cgem", one, seed=1, settings=settings, readout="tiger") for one in (early, late))
+    for name, column in (("truths", "time"), ("wire_truths", "time"), ("wire_hits", "drift_time"), ("digis", "time")):
+        shift = b.tables[name][column] - a.tables[name][column]
+        event = b.tables[name]["event"]
+        assert shift[event == 0] == pytest.approx(0, abs=1e-9)
+        assert shift[event == 1] == pytest.approx(7, abs=0.5 if name == "digis" else 1e-9)
+    with pytest.raises(ParticleError, match=r"time: is not finite .nan. in row 1"):
+        particles_from(early | {"time": [0.0, np.nan]})
+    with pytest.raises(ParticleError, match=r"decay_time: is not above 0 .-1.0. in row 0"):
+        particles_from(early | {"decay_time": [-1.0, np.inf]})
+
+
+OWN = {"event": [0, 0, 2], "pdg": [13, -13, 211], "px": [0.9, -0.9, 0.3], "py": [0.2, -0.2, 0.1], "pz": [0.1, -0.1, 1]}
+
+
+def other_program(folder: Path, ending: str, columns: dict[str, Any]) -> Path:
+    """Write a table as another program does."""
+    path = folder / f"own{ending}"
+    arrays = {name: np.asarray(column) for name, column in columns.items()}
+    if ending == ".csv":
+        pd.DataFrame(columns).to_csv(path, index=False)
+    elif ending == ".parquet":
+        pd.DataFrame(columns).to_parquet(path)
+    elif ending == ".npz":
+        np.savez(path, **arrays)
+    else:
+        with uproot.recreate(path) as file:
+            file["particles"] = arrays
+    return path
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz", ".root"])
+def test_tables_of_other_programs(ending, tmp_path):
+    """They are taken as the same columns of a data frame are; what lacks a column is refused with those that it has."""
+    assert particles_from(other_program(tmp_path, ending, OWN)) == particles_from(pd.DataFrame(OWN))
+    path = other_program(tmp_path, ending, {name: column for name, column in OWN.items() if name != "pz"})
+    with pytest.raises(ParticleError) as error:
+        particles_from(path)
+    text = str(error.value)
+    assert "pz" in text
+    assert "event, pdg, px, py" in text
+    assert "of another program" in text
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz"])
+def test_units_in_the_names_of_columns(ending, tmp_path):
+    columns = {
+        "event": [0],
+        "pdg": [13],
+        "px [MeV]": [900.0],
+        "py (GeV/c)": [0.2],
+        "pz[MeV/c]": [100.0],
+        "x [cm]": [1.5],
+    }
+    columns |= {"time [us]": [0.002], "mass [MeV/c^2]": [105.66]}
+    found = particles_from(other_program(tmp_path, ending, columns))
+    values = [found[name][0] for name in ("px", "py", "pz", "x", "time", "mass")]
+    assert values == pytest.approx([0.9, 0.2, 0.1, 15, 2, 0.10566])
+
+
+def test_units_of_columns_as_an_argument():
+    found = particles_from({**OWN, "z": [1, 2, 3]}, units={"px": "MeV", "z": "cm"})
+    assert found["px"] == pytest.approx([9e-4, -9e-4, 3e-4])
+    assert found["z"] == pytest.approx([10, 20, 30])
+    with pytest.raises(ParticleError) as error:
+        particles_from({**OWN, "x [cm]": [1, 2, 3], "y [foot]": [1, 2, 3]}, units={"x": "mm", "e": "GeV"})
+    text = str(error.value)
+    assert "units['x']: got 'mm', expected 'cm', as the name of the column says" in text
+    assert "y [foot]: got the unit 'foot', expected a length with its unit" in text
+    assert "units['e']: got 'GeV', expected a unit of one of the columns event, pdg" in text
+
+
+def test_lists_per_event_in_a_tree_of_another_program(tmp_path):
+    lists = {"pdg": ak.Array([[13, -13], [], [211]])}
+    lists |= {name: ak.Array([[0.9, -0.9], [], [0.3]]) for name in ("px", "py", "pz")}
+    with uproot.recreate(tmp_path / "own.root") as file:
+        file["events"] = lists
+    found = particles_from(tmp_path / "own.root")
+    assert found.n_events == 3
+    assert found["event"].tolist() == [0, 0, 2]
+    assert found["pdg"].tolist() == [13, -13, 211]
+
+
+def test_csv_with_mistakes_and_other_columns(tmp_path):
+    path = tmp_path / "own.csv"
+    path.write_text("# from a spreadsheet\nevent;pdg;px;py;pz;name\n0;13;1;0;0;mu\n\n1;-13;1;0;0.5;mubar\n")
+    with pytest.warns(UserWarning, match=r"own.csv: columns without one number a row are left out: name"):
+        assert particles_from(path)["pz"].tolist() == [0, 0.5]
+    path.write_text("event,pdg,px,py,pz\n0,13,1,0,0\n0,13,1,0\n")
+    with pytest.raises(ParticleError, match="line 3: got 4 values, expected 5, as the line of names has"):
+        particles_from(path)
+    path.write_text("event,pdg,px,py,pz\n0,13,1,0,0\n0,13,1,zero,x\n")
+    with pytest.raises(ParticleError, match=r"line 3: got py 'zero', expected a number\n  line 3: got pz 'x', exp"):
+        particles_from(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("a.lhe", "got Les Houches events, which hold partons, expected hadrons: shower the file with Pythia 8"),
+        ("a.lhe.gz", "got Les Houches events"),
+        ("a.hepevt", "got HEPEVT, which does not name its units, expected HepMC: read it with pyhepmc"),
+        ("a.slcio", "got a file of LCIO or StdHep, expected EDM4hep or HepMC: convert"),
+    ],
+)
+def test_other_records_are_refused_by_name(name, message, tmp_path):
+    (tmp_path / name).write_text("x")
+    with pytest.raises(ParticleError, match=message):
+        cg.run(DESIGN, tmp_path / name)
+
+
+def fill_tree(file: Any, name: str, branches: dict[str, Any]) -> None:
+    """Write a TTree: assigning makes an RNTuple."""
+    file.mktree(name, {key: array.type.content for key, array in branches.items()}).extend(branches)
+
+
+#: A J/psi that decays to a muon and a K_S, which decays to pions, as HepMC3 stores them; cm and MeV.
+TREE = {
+    "event_number": [3, 4], "momentum_unit": [0, 0], "length_unit": [1, 1],
+    **{f"event_pos.m_v{k}": [float(k), 0.0] for k in (1, 2, 3, 4)},
+    "weights": [[0.5, 9.0], []],
+    "particles.pid": [[443, 310, 13, 211, -211], []], "particles.status": [[4, 2, 1, 1, 1], []],
+    "particles.mass": [[3096.9, 497.6, 105.7, 139.6, 139.6], []],
+    "particles.momentum.m_v1": [[0.0, 500.0, -500.0, 250.0, 250.0], []],
+    "particles.momentum.m_v2": [[0.0, 250.0, -250.0, 500.0, -250.0], []],
+    "particles.momentum.m_v3": [[200.0, 500.0, -500.0, -125.0, 625.0], []],
+    **{f"vertices.position.m_v{k}": [[0.0, 3.0 + k], []] for k in (1, 2, 3, 4)},
+    "links1": [[1, -1, -1, 2, -2, -2], []], "links2": [[-1, 2, 3, -2, 4, 5], []],
+}  # fmt: skip
+
+
+def test_hepmc_in_root(tmp_path):
+    """As the text of the same events gives; vertices without a position have that of the event."""
+    path = tmp_path / "a.hepmc3.tree.root"
+    with uproot.recreate(path) as file:
+        fill_tree(file, "hepmc3_tree", {name: ak.Array(values) for name, values in TREE.items()})
+    found, events = read_particles(path)
+    text = (
+        HEAD + "E 3 2 5 @ 1 2 3 4\nU MEV CM\nW 0.5\nP 1 0 443 0 0 200 3100 3096.9 4\nV -1 0 [1]\n"
+        "P 2 -1 310 500 250 500 900 497.6 2\nP 3 -1 13 -500 -250 -500 800 105.7 1\nV -2 0 [2] @ 4 5 6 7\n"
+        "P 4 -2 211 250 500 -125 600 139.6 1\nP 5 -2 -211 250 -250 625 750 139.6 1\nE 4 0 0\nU MEV CM\nW 1\n" + END
+    )
+    (tmp_path / "a.hepmc3").write_text(text)
+    expected, other = read_particles(tmp_path / "a.hepmc3")
+    assert found["pdg"].tolist() == [13, 211, -211]
+    assert [found[axis].tolist() for axis in "xyz"] == [[10, 40, 40], [20, 50, 50], [30, 60, 60]]
+    assert found["parent"].tolist() == [1, 2, 2]
+    assert found.columns.keys() == expected.columns.keys()
+    for name in expected.columns:
+        assert found[name] == pytest.approx(expected[name]), name
+    for name in other.columns:
+        assert events[name] == pytest.approx(other[name]), name
+    with uproot.recreate(path) as file:
+        fill_tree(file, "hepmc3_tree", {"n": ak.Array([1, 2])})
+    with pytest.raises(ParticleError, match=r"got no branch 'particles.pid', expected a whole event record of HepMC3"):
+        particles_from(path)
+
+
+def test_edm4hep(tmp_path):
+    """An electron ends in a dark charged particle, a pion that decays at 200 mm, and its muon; two events."""
+    names = {"PDG": [11, 4900211, 211, -13], "generatorStatus": [4, 1, 2, 1], "charge": [-1.0, 1, 1, 1]}
+    names |= {"mass": [0.000511, 2, 0.13957, 0.10566], "time": [0.0, 0.5, 0.5, 1.25]}
+    names |= {"vertex.x": [0.0, 0, 0, 200], "endpoint.x": [0.0, 0, 200, 0], "momentum.x": [0.0, 1, 0.5, 0.4]}
+    names |= {f"{one}.{axis}": [0.0] * 4 for one in ("vertex", "endpoint", "momentum") for axis in "yz"}
+    names |= {"parents_begin": [0, 0, 1, 2], "parents_end": [0, 1, 2, 3]}
+    tree = {f"MCParticles.{name}": ak.Array([values, []]) for name, values in names.items()}
+    tree |= {"_MCParticles_parents.index": ak.Array([[0, 0, 2], []])}
+    tree |= {"EventHeader.eventNumber": ak.Array([[12], [13]]), "EventHeader.weight": ak.Array([[0.25], [1.0]])}
+    with uproot.recreate(tmp_path / "a.edm4hep.root") as file:
+        fill_tree(file, "events", tree)
+    with pytest.warns(UserWarning, match="of the charged particles of status 2, 1 are followed to their decay"):
+        found, events = read_particles(tmp_path / "a.edm4hep.root")
+    assert found.n_events == 2
+    assert found["pdg"].tolist() == [4900211, 211, -13]
+    assert found["charge"].tolist() == [1, 1, 1]
+    assert found["mass"][0] == 2
+    assert found["x"].tolist() == [0, 0, 200]
+    assert found["time"] == pytest.approx([0.5, 0.5, 1.25])
+    assert found["edm4hep_id"].tolist() == [1, 2, 3]
+    assert found["parent"].tolist() == [0, 0, 2]
+    flight = 200 * np.hypot(0.5, 0.13957039) / 0.5 / 299.792458
+    assert found["decay_time"] == pytest.approx([np.inf, flight, np.inf])
+    assert events["number"].tolist() == [12, 13]
+    assert events["weight"].tolist() == [0.25, 1]

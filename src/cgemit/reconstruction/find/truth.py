@@ -55,7 +55,7 @@ def by_truth(
     Returns
     -------
     dict of str to Table
-        ``candidates``, one per charged particle and in their order, with the particle's own mass, and
+        ``candidates``, one per charged particle that flew and in their order, with the particle's own mass, and
         ``candidate_hits``, ordered from the beam line outward.
 
     Raises
@@ -64,7 +64,7 @@ def by_truth(
         If the tables do not belong to each other or to the detector.
     """
     detector = load(detector)
-    charged = np.flatnonzero(particles["charge"])
+    charged = np.flatnonzero(have_flown(particles))
     candidate_of = np.full(len(particles), -1)  # of each particle; neutral ones have none
     candidate_of[charged] = np.arange(len(charged))
     hits = _core.assign_hits(
@@ -85,6 +85,16 @@ def by_truth(
         "candidates": Table("candidates", columns, **about),
         "candidate_hits": Table("candidate_hits", hits, **about),
     }
+
+
+def have_flown(particles: Table) -> Any:
+    """Return which particles may have left hits, (n,) bool: charged ones that the simulation transports.
+
+    Parameters
+    ----------
+    particles : Table of kind "particles"
+    """
+    return (particles["charge"] != 0) & (particles["status"] < _core.TransportStatus.at_rest)
 
 
 def link_problems(table: Table, link: str, target: Table) -> list[str]:
