@@ -311,7 +311,8 @@ def test_options_of_study(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_every_option_is_tried(command: str, rows: list[Row]) -> None:
     tried = {row.option for row in rows} | SHOWN
-    tried |= {"display": {"--html", "--sample"}, "simulate": {"--fit", "--particles", "--sample"}}.get(command, set())
+    elsewhere = {"--fit", "--particles", "--charges", "--sample"}
+    tried |= {"display": {"--html", "--sample"}, "simulate": elsewhere}.get(command, set())
     assert options_of(command) - tried == set()
 
 
