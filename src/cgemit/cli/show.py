@@ -150,8 +150,9 @@ def _write(
     detector: Detector, numbers: Mapping[str, Any], folder: str, *, overwrite: bool, gdml: bool, delphes: bool
 ) -> None:
     from cgemit.base.files import SUMMARY, new_folder
-    from cgemit.detector.delphes import CARD, card_of
+    from cgemit.detector.delphes import card_of
     from cgemit.detector.export import write_files
+    from cgemit.detector.files import CARD
     from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
 
     with new_folder(folder, overwrite=overwrite) as place:

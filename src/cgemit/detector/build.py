@@ -327,7 +327,7 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
 
 
 # More parts than any detector has: a mistake, or meant to exhaust the memory.
-_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "layer": 300, "walls": 100, "background": 100, "materials": 1000}
+_MOST_PARTS = {"beam_pipe": 100, "cgem": 100, "layer": 1000, "walls": 300, "background": 100, "materials": 1000}
 
 
 def _check_names(reader: Reader, tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -27,7 +27,7 @@ from cgemit.units import NATIVE, format_quantity
 
 TOUCH = 1e-6  # mm; parts closer than this touch
 _COIL = 1.25
-_THICK = 100.0  # mm; no single piece of solid matter in a tracker is thicker
+_THICK = 1000.0  # mm; no coil behind a tracker is thicker
 
 
 def value_problems(detector: Contents) -> list[Problem]:

@@ -6,8 +6,9 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cgemit.base.errors import DetectorError, Problem, Problems
 from cgemit.base.files import read_text
@@ -16,9 +17,6 @@ from cgemit.detector.check import geometry_problems
 from cgemit.detector.material import x0_of_fractions
 from cgemit.detector.parts import Contents, Shell
 from cgemit.detector.readouts import GaussianReadout
-
-#: Ending of the name of a card.
-CARD = ".tcl"
 
 _M = 1000.0  # mm
 _COLUMNS = 13
@@ -44,6 +42,7 @@ class Row:
     stereo: tuple[float, float]
     sigma: tuple[float, float]
     gas: bool = False  # of wires: as thin as need be
+    efficiency: float = 1.0
 
     @property
     def views(self) -> list[tuple[float, float]]:
@@ -51,103 +50,293 @@ class Row:
         return [(angle, sigma) for angle, sigma in zip(self.stereo, self.sigma, strict=True) if sigma > 0]
 
 
-def read_card(path: str | Path) -> dict[str, Any]:
+def read_card(path: str | Path, *, field: bool = True) -> dict[str, Any]:
     """Return the tables of the detector file that the geometry of a card stands for.
 
     Rows that measure become ``[layer.NAME]``, others walls and the beam pipe. The card states no materials: a radiation
     length that is that of silicon, beryllium or another known material stands for it, any other one is carbon at the
-    density that has it. Between the rows is no matter. A row that reaches into the one below begins where that ends.
-    Disks are left out, and listed in the description.
+    density that has it. Between the rows is no matter. Rows that overlap become thinner and denser: radius, X/X0 and
+    mass stay. Disks are left out, and listed in the description.
+
+    The card is read as data: variables, ``source`` of files beside the card, comments, braces and quotes as in Tcl;
+    other commands are not run. The field is the Bz of the module TrackCovariance, or B outside of modules.
 
     Parameters
     ----------
     path : path
+    field : bool
+        Whether a card without a field is an error; otherwise the tables have none.
 
     Raises
     ------
     DetectorError
         If the card has no geometry, or rows that cannot be read.
     """
-    return _tables(read_text(Path(path)), str(path), Path(path).stem)
+    path = Path(path)
+    return _tables(read_text(path), str(path), path.stem, path.parent, field=field)
 
 
-def _tables(text: str, source: str, name: str) -> dict[str, Any]:
+class _Value(NamedTuple):
+    """Value of a variable, and the line of the file where it begins."""
+
+    text: str
+    line: int
+    source: str = ""
+
+
+_Scope = dict[str, _Value]
+_MOST_SOURCES = 50
+_VARIABLE = re.compile(r"\$(?:\{([^}]{1,200})\}|((?:::)?\w{1,200}))")
+#: Commands that set no variable, whatever they hold.
+_WITHOUT_EFFECT = ("add", "exec", "puts", "proc")
+
+
+class _Card:
+    """Variables and TrackCovariance modules of a card; no command but ``set``, ``module`` and ``source`` acts."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        self.variables: _Scope = {}
+        self.modules: dict[str, _Scope] = {}
+        self.unread: list[str] = []
+        self.sources = 0
+
+    def value(self, text: str, scope: _Scope) -> str:
+        """Return a text with its variables replaced; those without a value stay."""
+
+        def one(match: re.Match[str]) -> str:
+            name = (match[1] or match[2]).removeprefix("::")
+            found = scope.get(name) or self.variables.get(name)
+            return match[0] if found is None else found.text
+
+        return _VARIABLE.sub(one, text)
+
+    def run(self, text: str, scope: _Scope, line: int = 1, source: str = "") -> None:
+        """Take the variables and modules of a script."""
+        for at, words in _commands(text, line):
+            known = [word if braced else self.value(word, scope) for word, braced in words]
+            if known[0] == "set" and len(known) == 3:
+                scope[known[1].removeprefix("::")] = _Value(known[2], at, source)
+            elif known[0] == "module" and len(known) == 4:
+                inner: _Scope = {}
+                self.run(known[3], inner, at, source)
+                if known[1] == "TrackCovariance":
+                    self.modules[known[2]] = inner
+            elif known[0] == "source":
+                self._source(known[1:], scope)
+            elif known[0] == "add" and len(known) > 2 and known[1] in ("DetectorGeometry", "Bz"):
+                scope[known[1]] = _Value("[add]", at, source)
+            elif known[0] not in _WITHOUT_EFFECT:
+                # A variable that a loop or a condition may set has no value that is known.
+                for name in re.findall(r"\b(?:set|incr|append|lappend|unset)[ \t]+(\w+)", " ".join(known)):
+                    scope[name] = _Value(f"[{known[0]} ...]", at, source)
+
+    def _source(self, words: list[str], scope: _Scope) -> None:
+        """Read a file beside the card, or note that it was not read."""
+        self.sources += 1
+        name = " ".join(words)
+        try:
+            path = (self.folder / name).resolve()
+            beside = path.is_relative_to(self.folder) and path.is_file()
+            text = read_text(path) if beside and self.sources <= _MOST_SOURCES else None
+        except (OSError, ValueError):
+            text = None
+        if text is None:
+            self.unread.append(name)
+        else:
+            self.run(text, scope, source=name)
+
+
+def _commands(text: str, line: int) -> Iterator[tuple[int, list[tuple[str, bool]]]]:
+    """Yield the commands of a Tcl script: line, and words, each with whether it is in braces."""
+    at, end = 0, len(text)
+    words: list[tuple[str, bool]] = []
+    first = line
+    while at <= end:
+        one = text[at] if at < end else "\n"
+        if one in "\n;":
+            if words:
+                yield first, words
+            words, line, at = [], line + (one == "\n"), at + 1
+        elif one.isspace() or text.startswith("\\\n", at):
+            line, at = line + (one == "\\"), at + 1 + (one == "\\")
+        elif one == "#" and not words:
+            while at < end and text[at] != "\n":
+                skipped = 2 if text[at] == "\\" else 1
+                line, at = line + text.count("\n", at, min(at + skipped, end)), at + skipped
+        else:
+            first = first if words else line
+            stop = _word_end(text, at)
+            inner = one in '{"'
+            words.append((text[at + 1 : stop - 1] if inner else text[at:stop], one == "{"))
+            line, at = line + text.count("\n", at, stop), stop
+
+
+def _word_end(text: str, at: int) -> int:
+    """Return where the word that begins here ends: braces and brackets in pairs, quotes up to the next one."""
+    first, depth, end, begin = text[at], 0, len(text), at
+    pairs = {"{": "{}", '"': "[]"}.get(first, "[]")
+    while at < end:
+        one = text[at]
+        if one == "\\":
+            at += 2
+            continue
+        if first == '"' and depth == 0 and one == '"' and at > begin:
+            return at + 1
+        if first not in '{"' and depth == 0 and (one.isspace() or one == ";"):
+            return at
+        depth += (one == pairs[0]) - (one == pairs[1])
+        at += 1
+        if first == "{" and depth == 0:
+            return at
+    return min(at, end)
+
+
+def _tables(text: str, source: str, name: str, folder: Path, *, field: bool = True) -> dict[str, Any]:
     """Return the tables of the text of a card."""
-    # The end of the block is looked for once: a pattern would look for it from each of many beginnings.
-    begin = re.search(r"\bset[ \t]{1,80}DetectorGeometry\s{0,80}\{", text)
-    end = text.find("}", begin.end()) if begin else -1
-    if begin is None or end < 0:
-        raise DetectorError(source, [Problem("", "no block DetectorGeometry", "a card with TrackCovariance")])
-    fields = (re.fullmatch(r"set +Bz? +([-+.\deE]+)", " ".join(line.split())) for line in text.splitlines())
-    field = next(filter(None, fields), None)
+    card = _Card(folder)
+    card.run(text, card.variables)
     problems: list[Problem] = []
-    if not field:
-        problems.append(Problem("B", "no field", "a line such as: set B 2.0"))
-    rows, disks = _rows(text[begin.end() : end], text[: begin.end()].count("\n") + 1, problems)
+    scope = _tracker(card, problems)
+    geometry = scope.get("DetectorGeometry")
+    unread = f"; not read: {', '.join(card.unread)}" if card.unread else ""
+    if geometry is None:
+        expected = f"a card with TrackCovariance{unread}"
+        raise DetectorError(source, [*problems, Problem("", "no block DetectorGeometry", expected)])
+    bz = scope.get("Bz") or (scope.get("B") if scope is card.variables else None)
+    bz_text = card.value(bz.text, scope).strip() if bz else ""
+    bz_number = _number(bz_text)
+    if bz_number is None and field:
+        given = f'"{bz_text}"' if bz else "no field"
+        where = "in the module TrackCovariance" if card.modules else "beside the geometry"
+        expected = f"a line such as: set B{'z' if card.modules else ''} 2.0, {where}, or a detector file with the card"
+        problems.append(Problem("B", given, f"{expected} as base and a table [field]{unread}"))
+    rows, disks, cut = _rows(card, geometry, scope, problems)
+    rows, moved = _apart(rows, problems)
     if problems:
         raise DetectorError(source, problems)
     left = f"; left out: {len(disks)} disks ({', '.join(dict.fromkeys(disks))})" if disks else ""
+    shorter = f"; cut at the nearer end in z: {', '.join(dict.fromkeys(cut))}" if cut else ""
+    shorter += f"; put behind a layer at the same radius: {', '.join(moved)}" if moved else ""
     tables: dict[str, Any] = {
-        "name": name, "description": f"barrel of a Delphes card{left}",
-        "field": {"kind": "uniform", "bz": f"{float(field[1]) if field else 0.0} T"},
+        "name": name, "description": f"barrel of a Delphes card{left}{shorter}{unread}",
+        "field": {} if bz_number is None else {"kind": "uniform", "bz": f"{bz_number!r} T"},
         "beam_pipe": {}, "walls": {}, "layer": {}, "materials": {"Air": _VACUUM},
     }  # fmt: skip
     _add(rows, tables)
     return {name: value for name, value in tables.items() if value != {}}
 
 
-def _rows(text: str, first_line: int, problems: list[Problem]) -> tuple[list[Row], list[str]]:
-    """Return the barrel layers by radius, and the labels of the disks."""
-    rows, disks = [], []
-    for number, line in enumerate(text.splitlines(), start=first_line):
-        words = line.split("#")[0].split()
+def _tracker(card: _Card, problems: list[Problem]) -> _Scope:
+    """Return the variables of the module TrackCovariance that is used; those of the card without one."""
+    path = card.variables.get("ExecutionPath")
+    used = path.text.split() if path else []
+    found = {name: scope for name, scope in card.modules.items() if name in used} or card.modules
+    if len(found) > 1:
+        expected = "one of them, alone in ExecutionPath"
+        problems.append(Problem("TrackCovariance", f"modules {', '.join(found)}", expected))
+    return next(iter(found.values()), card.variables)
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _rows(
+    card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem]
+) -> tuple[list[Row], list[str], list[str]]:
+    """Return the barrel layers by radius, and the labels of the disks and of layers with unequal ends."""
+    rows: list[Row] = []
+    disks, cut = [], []
+    for number, line in enumerate(geometry.text.splitlines(), start=geometry.line):
+        words = card.value(line.split("#")[0].rstrip("; \t"), scope).split()
         if not words:
             continue
+        place = f"{geometry.source} line {number}".lstrip()
+        given = f'"{line.strip()[:60]}"'
         try:
             kind, label, numbers = words[0], words[1], [float(word) for word in words[2:]]
             if len(words) != _COLUMNS or kind not in ("1", "2") or not all(map(math.isfinite, numbers)):
                 raise ValueError
         except (IndexError, ValueError):
+            unknown = [word for word in words if word[0] in "$["]
             expected = f"{_COLUMNS} columns: 1 or 2, a label, and numbers"
-            problems.append(Problem(f"line {number}", f'"{line.strip()[:60]}"', expected))
+            hint = f"; no value is set for {', '.join(unknown)}" if unknown else ""
+            problems.append(Problem(place, given, expected + hint))
             continue
         if kind == "2":
             disks.append(label)
             continue
-        low, high, radius, thickness, x0, measured, up, down, sigma_up, sigma_down, flag = numbers
+        low, high, radius, thickness, x0, measured, up, down, sigma_up, sigma_down, efficiency = numbers
         half = min(-low, high) * _M
-        if half <= 0 or radius <= 0 or thickness <= 0 or x0 <= 0:
-            expected = "z on both sides, and a radius, thickness and radiation length above 0"
-            problems.append(Problem(f"line {number}", f'"{line.strip()[:60]}"', expected))
+        if half <= 0 or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
+            expected = "z on both sides, a radius, thickness and radiation length above 0, an efficiency from 0 to 1"
+            problems.append(Problem(place, given, expected))
             continue
-        on = [bool(flag) and measured >= count for count in (1, 2)]
+        if half < min(max(-low, high) * _M, 0.5 * _LONGEST) * (1 - 1e-9):
+            cut.append(label)
+        on = [efficiency > 0 and measured >= count for count in (1, 2)]
         sigma = tuple(_M * value if use else 0.0 for value, use in zip((sigma_up, sigma_down), on, strict=True))
+        half = min(half, 0.5 * _LONGEST)
         rows.append(
             Row(
-                label, min(half, 0.5 * _LONGEST), _M * radius, _M * thickness, _M * x0, (up, down), (sigma[0], sigma[1])
+                label, half, _M * radius, _M * thickness, _M * x0, (up, down), (sigma[0], sigma[1]),
+                efficiency=efficiency if any(on) else 1.0,
             )
-        )
-    return sorted(rows, key=lambda row: row.radius), disks
+        )  # fmt: skip
+    return sorted(rows, key=lambda row: row.radius), disks, cut
+
+
+def _apart(rows: Sequence[Row], problems: list[Problem]) -> tuple[list[Row], list[str]]:
+    """Return rows of different radii, and the labels of those of matter alone that are put behind a layer for it."""
+    found: list[Row] = []
+    moved = []
+    for row in sorted(rows, key=lambda row: (row.radius, not row.views)):
+        if not found or row.radius - found[-1].radius >= _ROUNDING:
+            found.append(row)
+        elif row.views:
+            given = f"{found[-1].label} and {row.label} at r = {row.radius:g} mm"
+            problems.append(Problem("DetectorGeometry", given, "layers that measure at different radii"))
+        else:
+            behind = found[-1].radius + 0.5 * (found[-1].thickness + row.thickness)
+            found.append(replace(row, radius=behind))
+            moved.append(row.label)
+    return sorted(found, key=lambda row: row.radius), moved
+
+
+def _beside(rows: Sequence[Row]) -> list[float]:
+    """Return the thickness of each row, mm, with which it is beside its neighbours about its own radius."""
+    halves = [0.5 * row.thickness for row in rows]
+    for i, gap in enumerate(outer.radius - inner.radius for inner, outer in pairwise(rows)):
+        one, other = 0.5 * rows[i].thickness, 0.5 * rows[i + 1].thickness
+        if one + other <= gap:
+            continue
+        halves[i] = min(halves[i], max(gap - other, 0.5 * gap))
+        halves[i + 1] = min(halves[i + 1], max(gap - one, 0.5 * gap))
+    return [2 * half for half in halves]
 
 
 def _add(rows: Sequence[Row], tables: dict[str, Any]) -> None:
     """Add the parts that rows stand for to the tables of a detector file."""
     many = {row.label: sum(other.label == row.label for other in rows) for row in rows}
     seen: dict[str, int] = {}
-    edge = 0.0
     measured = False
-    for row in rows:
+    for row, thickness in zip(rows, _beside(rows), strict=True):
         seen[row.label] = seen.get(row.label, 0) + 1
         label = row.label if many[row.label] == 1 else f"{row.label}{seen[row.label]}"
-        r_in, r_out = max(row.radius - 0.5 * row.thickness, edge), row.radius + 0.5 * row.thickness
-        edge = r_out
-        material = _material(row.x0, tables["materials"])
+        r_in, r_out = row.radius - 0.5 * thickness, row.radius + 0.5 * thickness
+        material = _material(row.x0, thickness / row.thickness, tables["materials"])
         measured = measured or bool(row.views)
         if not row.views:
             part = {"r_in": f"{r_in!r} mm", "r_out": f"{r_out!r} mm", "half_length": f"{row.half_length!r} mm"}
             tables["walls" if measured else "beam_pipe"][label] = part | {"material": material}
             continue
-        shared = {"length": f"{2 * row.half_length!r} mm", "material": material}
+        shared: dict[str, Any] = {"length": f"{2 * row.half_length!r} mm", "material": material}
+        shared |= {"efficiency": row.efficiency} if row.efficiency < 1 else {}
         tables["layer"] |= {
             f"{label}{name}": shared | {"radius": f"{r!r} mm", "thickness": f"{width!r} mm"} | keys
             for name, r, width, keys in _layers(row, r_in, r_out)
@@ -170,14 +359,26 @@ def _layers(row: Row, r_in: float, r_out: float) -> Iterator[tuple[str, float, f
         yield suffix, r_in + (number + 0.5) * width, width, keys | of_v
 
 
-def _material(x0: float, materials: dict[str, Any]) -> str:
-    """Return the name of a material of this radiation length, mm, and add it to `materials` if it is a new one."""
-    for name in _KNOWN:
-        if abs(library()[name].x0 / x0 - 1) < 1e-3:
+def _material(x0: float, part: float, materials: dict[str, Any]) -> str:
+    """Return the name of a material of this radiation length, mm, and add it to `materials` if it is a new one.
+
+    A row that has only a `part` of its thickness has the material at a density that is higher by as much.
+    """
+    denser = part < 1 - 1e-6
+    for known in _KNOWN:
+        if abs(library()[known].x0 / x0 - 1) < 1e-3:
+            name = f"{known}-{1 / part:g}" if denser else known
+            if denser:
+                one = library()[known]
+                materials[name] = {
+                    "base": known, "density": f"{one.density / part!r} g/cm3", "x0": f"{one.x0 * part!r} mm",
+                }  # fmt: skip
             return name
+    gas = x0 > _GAS
+    x0 *= part if denser else 1.0
     name = f"X0-{x0:g}mm"
     density = x0_of_fractions({"C": 1.0}, 1.0) / x0  # a radiation length is inverse to the density
-    materials[name] = {"composition": "C", "density": f"{density!r} g/cm3", "x0": f"{x0!r} mm", "gas": x0 > _GAS}
+    materials[name] = {"composition": "C", "density": f"{density!r} g/cm3", "x0": f"{x0!r} mm", "gas": gas}
     return name
 
 
@@ -228,7 +429,8 @@ def _written(detector: Contents) -> Iterator[Row]:
         x, v = sensor.errors
         measured = [(0.0, x)] * (x > 0) + [(sensor.stereo, v)] * (v > 0)
         for number, shells in enumerate(sensor.stacks()):
-            yield _row(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
+            row = _row(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
+            yield row if number else replace(row, efficiency=sensor.efficiency)
     chamber = detector.drift_chamber
     begin = chamber.layers[0].r_mid if chamber else 0.0
     edges = [part.r_out for part in (*detector.beam_pipe, *detector.walls)]
@@ -241,7 +443,8 @@ def _written(detector: Contents) -> Iterator[Row]:
         gas = chamber.gas if chamber else None
         assert gas is not None
         shell = Shell("gas", "", wires.r_mid - 0.5 * width, wires.r_mid + 0.5 * width, wires.half_length, gas)
-        yield _row((shell,), f"wires{wires.number}", [(tilt, wires.sigma)], gas=True)
+        row = _row((shell,), f"wires{wires.number}", [(tilt, wires.sigma)], gas=True)
+        yield replace(row, efficiency=wires.efficiency)
 
 
 def _parted(rows: Sequence[Row]) -> list[Row]:
@@ -267,7 +470,7 @@ def _check_readable(text: str, rows: Sequence[Row], source: str) -> None:
             problems.note(row.label, between, f"a cylinder beside {below}, which ends at {edge:g} mm")
         edge, below = row.radius + 0.5 * row.thickness, row.label
     problems.report(source, DetectorError)
-    tables = _tables(text, source, "card")
+    tables = _tables(text, source, "card", Path())
     read = problems.collect(read_contents, source, tables, problems)
     if read is not None:
         problems.extend(geometry_problems(read.beam_pipe, read.cgem, read.layer, read.walls, read.drift_chamber))
@@ -288,4 +491,4 @@ def _line(row: Row) -> str:
     lengths = (value / _M for value in (-half, half, row.radius, row.thickness, row.x0))
     numbers = [*(f"{value:.9g}" for value in lengths), str(count)]
     numbers += [f"{value:.9g}" for value in (*row.stereo, *(sigma / _M for sigma in row.sigma))]
-    return "  " + " ".join(["1", row.label, *numbers, "1" if count else "0"])
+    return "  " + " ".join(["1", row.label, *numbers, f"{row.efficiency:.9g}" if count else "0"])

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, Problems, shown
 from cgemit.detector import check, delphes, export, variants
 from cgemit.detector.build import read_contents
-from cgemit.detector.files import field_tables, is_file, is_preset, open_source, place_map, resolve
+from cgemit.detector.files import CARD, field_tables, is_file, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
 from cgemit.detector.parts import Contents, Cylinder, Layer
 from cgemit.detector.reader import merged, set_path
@@ -181,12 +181,12 @@ def preset(name: str) -> Detector:
 
 def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector of a preset, a file or tables; see `load`."""
-    if not isinstance(source, Mapping) and Path(source).suffix == delphes.CARD and is_file(Path(source)):
+    if not isinstance(source, Mapping) and Path(source).suffix == CARD and is_file(Path(source)):
         source = delphes.read_card(source)
     opened = open_source(source)
     problems = Problems()
     try:
-        tables = resolve(opened, problems)
+        tables = resolve(opened, problems, partial(delphes.read_card, field=False))
     except RecursionError:
         raise DetectorError(opened.name, [Problem("", "tables in tables in tables ...", "fewer levels")]) from None
     if "name" not in opened.tables:

@@ -65,8 +65,15 @@ def library_materials() -> dict[str, Any]:
     return tables
 
 
-def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = None) -> Source:
-    """Return the content of a preset, a file or a mapping.
+#: Ending of the name of a Delphes card.
+CARD = ".tcl"
+_ReadCard = Callable[[Path], dict[str, Any]]
+
+
+def open_source(
+    source: str | Path | Mapping[str, Any], folder: Path | None = None, read_card: _ReadCard | None = None
+) -> Source:
+    """Return the content of a preset, a file or a mapping; of a Delphes card as `read_card` returns it.
 
     Raises
     ------
@@ -87,6 +94,8 @@ def open_source(source: str | Path | Mapping[str, Any], folder: Path | None = No
             did_you_mean(text[:_LONGEST], preset_names()),
         )  # fmt: skip
         raise DetectorError(text[:_LONGEST], [problem])
+    if path.suffix == CARD and read_card is not None:
+        return Source(str(path), path.parent, read_card(path))
     try:
         tables = parse_toml(read_text(path))
     except ValueError as error:
@@ -143,11 +152,11 @@ def is_file(path: Path, test: Callable[[Path], bool] = Path.is_file) -> bool:
         return False
 
 
-def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
+def resolve(source: Source, problems: list[Problem], read_card: _ReadCard | None = None) -> dict[str, Any]:
     """Return the tables of a file laid over those of its bases; problems of the chain are noted."""
     chain = [source]
     while (base := chain[-1].tables.get("base")) is not None:
-        below = _base_of(chain, base, problems)
+        below = _base_of(chain, base, problems, read_card)
         if below is None:
             break
         chain.append(below)
@@ -160,14 +169,16 @@ def resolve(source: Source, problems: list[Problem]) -> dict[str, Any]:
     return tables
 
 
-def _base_of(chain: list[Source], base: object, problems: list[Problem]) -> Source | None:
+def _base_of(chain: list[Source], base: object, problems: list[Problem], read_card: _ReadCard | None) -> Source | None:
     if not isinstance(base, str):
         problems.append(Problem("base", repr(base)[:80], "the name of a preset or of a detector file"))
         return None
     try:
-        found = open_source(base, chain[-1].folder)
+        found = open_source(base, chain[-1].folder, read_card)
     except DetectorError as error:
-        problems += [problem._replace(path="base") for problem in error.problems]
+        for problem in error.problems:
+            given = f"{problem.path}: {problem.given}" if problem.path else problem.given
+            problems.append(problem._replace(path="base", given=given))
         return None
     if any(_place(found) == _place(link) for link in chain) or len(chain) > _MOST_BASES:
         problems.append(Problem("base", _quoted(base), "a base that does not lead back to the file itself"))

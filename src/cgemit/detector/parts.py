@@ -207,8 +207,8 @@ class Cylinder(Part):
     """
 
     label: str
-    r_in: float = field(metadata=key("length", "inner radius", 0.1, 3000.0))  # mm
-    r_out: float = field(metadata=key("length", "outer radius", 0.1, 3000.0))  # mm
+    r_in: float = field(metadata=key("length", "inner radius", 0.1, 10_000.0))  # mm
+    r_out: float = field(metadata=key("length", "outer radius", 0.1, 10_000.0))  # mm
     half_length: float = field(metadata=key("length", "half length along the beam", 1.0, 5000.0))  # mm
     material: Material = field(metadata=key("material", "name of the material"))
 

@@ -113,7 +113,7 @@ def test_ten_mistakes_give_ten_messages(tmp_path: Path) -> None:
         ({"cgem": {"l1": {"drift_gap": "4 mm"}}}, "cgem.l1", "only drift_gap"),
         ({"cgem": {"L1": 3}}, "cgem.L1", "3"),
         ({"cgem": 3}, "cgem", "3"),
-        ({"walls": {"w": {**WALL, "r_in": "1 cm", "r_out": "30 cm"}}}, "walls.w.r_out", "thickness of 290 mm"),
+        ({"walls": {"w": {**WALL, "r_in": "1 cm", "r_out": "130 cm"}}}, "walls.w.r_out", "thickness of 1290 mm"),
         ({"walls": {"w": {**WALL, "r_in": "180 mm", "r_out": "183 mm"}}}, "walls.w", "r = 180"),
         ({"drift_chamber": {"wires": "smear"}}, "drift_chamber.wires", '"smear"'),
         ({"drift_chamber": {"efficiency": "120 %"}}, "drift_chamber.efficiency", '"120 %"'),

@@ -167,12 +167,86 @@ def test_a_card_of_wires_and_cgem_layers():
         ("1 A 1 2 0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "z on both sides"),
         ("1 A -1 1 -0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "a radius, thickness and radiation length above 0"),
         ("1 A -1 1 0.1 0.001 nan 0 0 0 0 0 0\n", "set B 2", "13 columns"),
-        (IDEA, "", "expected a line such as: set B 2.0"),
+        (IDEA, "", "expected a line such as: set Bz 2.0"),
+        ("1 A -1 1 0.1 0.001 $X 0 0 0 0 0 0\n", "set B 2", "no value is set for \\$X"),
+        ("1 A -1 1 0.1 0.001 0.1 2 0 1.57 1e-5 1e-5 1.2\n", "set B 2", "an efficiency from 0 to 1"),
+        (IDEA, "set B 2\nif {1} {set B 3}", r"B: got .\[if ...\]"),
     ],
 )
 def test_rows_that_cannot_be_read(tmp_path, rows, field, message):
     with pytest.raises(DetectorError, match=message):
         cg.load(card(tmp_path, rows, field))
+
+
+SENSORS = "".join(f"1 T{i} -1 1 {0.03 + 0.06 * i} 0.0002 0.0937 2 0 1.5708 6e-6 6e-6 1\n" for i in range(6))
+
+
+@pytest.mark.parametrize("own", ["3.0", "-2.0", "$Other", "{1.5}", '"1.5"'])
+def test_the_field_is_that_of_the_tracker(tmp_path, own):
+    """Not the first one of the card, nor one in a comment or of a module that is not used."""
+    path = tmp_path / "card.tcl"
+    path.write_text(
+        "set B 2.0 ;# of all\nset Other 2.5\n# set Bz 9\nset ExecutionPath {\n  Used\n}\n"
+        f"module TrackCovariance Unused {{\n set Bz 7\n}}\nmodule TrackCovariance Used {{\n  set Bz {own}; set N 1\n"
+        f"  set DetectorGeometry {{\n{SENSORS}  }}\n}}\nmodule ParticlePropagator P {{ set Bz 8 }}\n"
+    )
+    assert cg.load(path).field.bz == float({"$Other": "2.5"}.get(own, own.strip('{"}')))
+
+
+def test_variables_and_files_beside_the_card(tmp_path):
+    """Commands are not run, and files of other folders are not read."""
+    folder = tmp_path / "cards"
+    folder.mkdir()
+    (folder / "field.tcl").write_text("set B 2.5\n")
+    (tmp_path / "secret.tcl").write_text("set B 9\n")
+    path = folder / "card.tcl"
+    path.write_text(
+        f"set Z 1.4 ; set XGAS 900.\nsource field.tcl\nsource ../secret.tcl\nexec touch {tmp_path}/ran\n"
+        f"set A [exec touch {tmp_path}/ran]\nset DetectorGeometry {{\n{SENSORS}"
+        "1 DC -$Z ${Z} 0.7 0.01 $XGAS 1 0.05 0 0.0001 0 0.9 ;# gas\n}\n"
+    )
+    detector = cg.load(path)
+    assert detector.field.bz == 2.5
+    assert detector.description == "barrel of a Delphes card; not read: ../secret.tcl"
+    assert not (tmp_path / "ran").exists()
+    wires = detector.layer["DC"]
+    assert (wires.length, wires.thickness / wires.material.x0) == pytest.approx((2800, 0.01 / 900))
+    assert (wires.efficiency, detector.layer["T0"].efficiency) == (0.9, 1)
+    assert card_of(detector).splitlines()[-2].split()[-1] == "0.9"
+
+
+def test_rows_that_overlap_keep_their_matter(tmp_path):
+    """Rows that touch, overlap, lie inside another one; a coil behind; the sum of w/X0 and radii are the card's."""
+    rows = (
+        "1 PIPE -1 1 0.010 0.002 0.35276 0 0 0 0 0 0\n1 IN -1 1 0.0105 0.00005 0.0937 2 0 1.5708 6e-6 6e-6 1\n"
+        + SENSORS
+        + "1 SUP -2 2 0.5 0.0008 0.08 0 0 0 0 0 0\n1 SUPB -2 2 0.5004 0.0008 0.08 0 0 0 0 0 0\n"
+        + "1 SAME -1 1 0.03 0.0008 0.22 0 0 0 0 0 0\n1 MAG -3 3 3.2 0.38 0.0658 0 0 0 0 0 0\n"
+    )
+    detector = cg.load(card(tmp_path, rows))
+    right = sum(float(words[5]) / float(words[6]) for words in map(str.split, rows.splitlines()))
+    assert matter(detector) == pytest.approx(right, rel=1e-5)
+    assert detector.layer["IN"].radius == pytest.approx(10.5)
+    pipe = detector.beam_pipe["PIPE"]
+    assert pipe.thickness * pipe.material.density == pytest.approx(2 * 1.848, rel=1e-3)
+    assert detector.walls["SAME"].r_in == pytest.approx(30.1)
+    assert detector.description.endswith("; put behind a layer at the same radius: SAME")
+    assert detector.walls["MAG"].r_in == pytest.approx(3010)
+
+
+def test_unequal_ends_are_said(tmp_path):
+    detector = cg.load(card(tmp_path, SENSORS + "1 A -0.5 0.8 0.5 0.0008 0.08 0 0 0 0 0 0\n"))
+    assert detector.description == "barrel of a Delphes card; cut at the nearer end in z: A"
+    assert detector.walls["A"].half_length == 500
+
+
+def test_a_card_is_a_base(tmp_path):
+    """Its field may be elsewhere; problems name the line of the card."""
+    path = card(tmp_path, SENSORS, "")
+    detector = cg.load({"base": str(path), "name": "mine", "field": {"bz": "2 T"}, "layer": {"T0": {"sigma": "9 um"}}})
+    assert (detector.field.bz, detector.layer["T0"].errors, len(detector.layers)) == (2, (0.009, 0.009), 6)
+    with pytest.raises(DetectorError, match=r"base: got line 5: "):
+        cg.load({"base": str(card(tmp_path, "1 A\n"))})
 
 
 def test_a_card_without_geometry(tmp_path):
