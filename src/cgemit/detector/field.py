@@ -24,7 +24,7 @@ BOX = (("x", "y", "z"), ("bx", "by", "bz"))
 _FEWEST, _MOST = 4, 5000  # points along an axis; a cubic needs four, and memory grows with the square
 _MOST_POINTS = 20_000_000  # of a grid
 _STRONGEST = 10.0  # T
-_UNEVEN = 1e-6  # of a step
+_UNEVEN = 1e-3  # of a step: the digits of text and of single precision
 _ON_AXIS = 1e-3  # of the largest field: Br on the beam line may be no more than that
 
 
@@ -60,6 +60,8 @@ class FieldGrid:
         r, z or x, y, z.
     values : ndarray, (points of each axis, components) float64, T
         Br, Bz or Bx, By, Bz.
+    mirrored : tuple of str
+        Axes of which the file has one side of 0; the other one is its mirror image.
 
     Examples
     --------
@@ -73,6 +75,7 @@ class FieldGrid:
 
     axes: tuple[Axis, ...]
     values: Floats = field(repr=False)
+    mirrored: tuple[str, ...] = ()
 
     @cached_property
     def checksum(self) -> str:
@@ -97,7 +100,8 @@ class FieldGrid:
 
     def range_text(self) -> str:
         """Return where the map is valid."""
-        return ", ".join(f"{axis.name} = {axis.first:g} to {axis.last:g} mm" for axis in self.axes)
+        ranges = ", ".join(f"{axis.name} = {axis.first:g} to {axis.last:g} mm" for axis in self.axes)
+        return ranges + (f", mirrored in {', '.join(self.mirrored)}" if self.mirrored else "")
 
     def coefficients(self) -> Floats:
         """Return the coefficients of cubic B-splines through the values.
@@ -182,6 +186,10 @@ def names_in(columns: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ..
 def checked_grid(columns: Columns, problems: list[Problem]) -> FieldGrid | None:
     """Return the grid of columns in mm and T after checking all that can be checked."""
     axes, components = names_in(columns)
+    unread = [name for name in columns if name not in (*axes, *components)]
+    if unread:
+        wanted = f"only {', '.join((*axes, *components))} of a map in {', '.join(axes)}"
+        problems.append(Problem(", ".join(unread), "an array that is not read", wanted))
     for name in (*axes, *components):
         if name not in columns:
             wanted = ", ".join((*axes, *components))
@@ -199,7 +207,41 @@ def checked_grid(columns: Columns, problems: list[Problem]) -> FieldGrid | None:
     if axes == CYLINDER[0] and r and br and bz and br.values.shape == bz.values.shape == shape and _from_0(r.values):
         _check_beam_line(br, bz, problems)
     usable = [column.values for name in components if (column := columns.get(name))]
-    return None if problems else FieldGrid(tuple(axis for axis in found if axis), np.stack(usable, axis=-1))
+    if problems:
+        return None
+    return _completed(FieldGrid(tuple(axis for axis in found if axis), np.stack(usable, axis=-1)), components, problems)
+
+
+def _completed(grid: FieldGrid, components: tuple[str, ...], problems: list[Problem]) -> FieldGrid | None:
+    """Return a grid whose axes are on both sides of 0: half a map is completed by its mirror image.
+
+    The symmetry is that of a solenoid: for z, Bz is even and the other components are odd; for x and y, the component
+    along the axis is odd and the others are even. Odd components vanish at 0.
+    """
+    axes, values, mirrored = list(grid.axes), grid.values, []
+    largest = grid.largest()
+    for number, axis in enumerate(axes):
+        near = _UNEVEN * axis.step
+        if axis.name == "r" or min(-axis.first, axis.last) > near:
+            continue
+        odd = np.array([(name == f"b{axis.name}") != (axis.name == "z") for name in components])
+        from_0 = abs(axis.first) <= near
+        middle = np.abs(np.take(grid.values, 0 if from_0 else -1, axis=number)).reshape(-1, len(components))
+        for name, value in zip(components, middle.max(axis=0), strict=True):
+            if odd[components.index(name)] and value > _ON_AXIS * largest:
+                expected = f"0 there, or a map on both sides of {axis.name} = 0: half of it is completed by symmetry"
+                problems.append(Problem(name, f"up to {value:g} T at {axis.name} = 0", expected))
+        other = np.flip(values, axis=number) * np.where(odd, -1.0, 1.0)
+        halves = (np.delete(other, -1, axis=number), values) if from_0 else (values, np.delete(other, 0, axis=number))
+        if math.prod(values.shape[:-1]) * 2 > _MOST_POINTS:
+            given = f"a grid of more than {_MOST_POINTS} points with its mirror images"
+            problems.append(Problem("", given, f"at most {_MOST_POINTS}"))
+            return None
+        values = np.concatenate(halves, axis=number)
+        reach = axis.step * (axis.points - 1)
+        axes[number] = Axis(axis.name, -reach, axis.step, 2 * axis.points - 1)
+        mirrored.append(axis.name)
+    return None if problems else FieldGrid(tuple(axes), np.ascontiguousarray(values), tuple(mirrored))
 
 
 def _check_component(
@@ -246,7 +288,7 @@ def _axis(name: str, column: Column, problems: list[Problem]) -> Axis | None:
         return None
     if name == "r" and not _from_0(values):
         problems.append(Problem(name, f"{column.text(values[0])} first", "r = 0 first"))
-    elif not values[0] - _UNEVEN * step <= 0 <= values[-1]:
+    elif not values[0] - _UNEVEN * step <= 0 <= values[-1] + _UNEVEN * step:
         given = column.text(values[0], values[-1])
         problems.append(Problem(name, given, "a range with 0 in it, where tracks begin"))
     return Axis(name, first, float(step), len(values))

@@ -392,7 +392,8 @@ def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
         problems.append(Problem("", str(error), "a .npz file of arrays"))
         return None
     axes, components = names_in(found)
-    columns: Columns = {}
+    # Names that no map has are noted with the grid.
+    columns: Columns = dict.fromkeys(sorted(found.keys() - {*axes, *components, _LENGTH, _FIELD}))
     for unit, dimension, names in ((_LENGTH, "length", axes), (_FIELD, "field", components)):
         if unit in found:
             _check_unit(found[unit], dimension, unit, problems)
@@ -424,6 +425,10 @@ def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
         text = f"columns {', '.join(header) or 'none'}"
         wanted = ", ".join(f"{name}[{NATIVE[kind]}]" for name, kind in dimensions.items())
         problems.append(Problem("header", text, f"{wanted}; no column {', '.join(missing)}"))
+    unread = [name for name in header if (match := _HEADER.fullmatch(name)) is None or match[1] not in dimensions]
+    if unread and not missing:
+        expected = f"only {', '.join(dimensions)}"
+        problems.append(Problem("header", f"columns {', '.join(unread)} that are not read", expected))
     usable = [name for name in dimensions if name in given]
     for name in usable:
         _check_unit(given[name], dimensions[name], f"header {name}", problems)

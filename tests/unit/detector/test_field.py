@@ -307,6 +307,44 @@ def test_units_of_a_map(tmp_path):
     assert [axis.step for axis in other.axes] == pytest.approx([axis.step for axis in one.axes])
 
 
+@pytest.mark.parametrize("upper", [True, False])
+def test_half_a_map_is_completed_by_symmetry(tmp_path, design_files, upper):
+    columns = rz_columns()
+    part = slice(13, None) if upper else slice(None, 14)
+    half = columns | {"z": Z[part], "br": columns["br"][:, part], "bz": columns["bz"][:, part]}
+    whole = read_field_map(write_field_map(tmp_path / "whole.npz", columns))
+    found = read_field_map(write_field_map(tmp_path / "half.npz", half))
+    assert found.values == pytest.approx(whole.values, abs=1e-15)
+    assert found.axes[1] == whole.axes[1]
+    assert (whole.mirrored, found.mirrored) == ((), ("z",))
+    assert "z = -1300 to 1300 mm, mirrored in z" in str(design_files.with_field(tmp_path / "half.npz"))
+
+
+def test_an_octant_is_completed_by_symmetry(tmp_path):
+    """The field of a solenoid, in Cartesian components, against a map of all octants."""
+    axes = {"x": np.linspace(-800, 800, 9), "y": np.linspace(-800, 800, 9), "z": Z}
+    x, y, z = np.meshgrid(*axes.values(), indexing="ij")
+    b = np.moveaxis(harmonic_by_hand(x, y, z), -1, 0)
+    columns = axes | {"bx": b[0], "by": b[1], "bz": b[2]}
+    whole = read_field_map(write_field_map(tmp_path / "whole.npz", columns))
+    place = np.ix_(axes["x"] >= 0, axes["y"] <= 0, axes["z"] >= 0)
+    octant = {"x": axes["x"][4:], "y": axes["y"][:5], "z": Z[13:]}
+    octant |= {name: columns[name][place] for name in ("bx", "by", "bz")}
+    found = read_field_map(write_field_map(tmp_path / "octant.npz", octant))
+    assert found.values == pytest.approx(whole.values, abs=1e-12)
+    assert (found.axes, found.mirrored) == (whole.axes, ("x", "y", "z"))
+
+
+@pytest.mark.parametrize("digits", ["single", "text"])
+def test_axes_are_equidistant_within_their_digits(tmp_path, digits):
+    columns = rz_columns()
+    z = columns["z"] / 1000
+    z = z.astype(np.float32).astype(float) if digits == "single" else np.round(z + 2e-5 * np.cos(np.arange(len(z))), 5)
+    assert np.ptp(np.diff(z)) > 1e-9
+    grid = read_field_map(write_field_map(tmp_path / "map.npz", columns | {"z": 1000 * z}))
+    assert grid.axes[1].step == pytest.approx(100, rel=1e-3)
+
+
 def test_rows_of_a_csv_map_may_have_any_order(tmp_path):
     path = write_field_map(tmp_path / "map.csv", rz_columns())
     header, *rows = path.read_text().splitlines()
@@ -348,6 +386,9 @@ def test_a_map_that_changed_is_noticed(tmp_path, design_files):
         ({"r": R + 10, "br": np.ones((19, 27))}, ["r: got 10 mm first, expected r = 0"]),
         ({"z": np.where(Z < 0, Z, np.inf)}, ["z: got 14 values that are not finite"]),
         ({"z": Z + 2000}, ["z: got 700 to 3300 mm, expected a range with 0"]),
+        ({"z": Z + 1300}, ["br: got up to 0.1053 T at z = 0, expected 0 there, or a map on both sides"]),
+        ({"z": Z + np.where(np.arange(27) == 5, 0.5, 0)}, ["z: got steps"]),
+        ({"bphi": np.zeros((19, 27)), "note": np.array("x")}, ["bphi, note: got an array that is not read"]),
         ({"bz": np.full((19, 27), np.nan)}, ["bz: got 513 values that are not finite"]),
         ({"br": np.zeros((27, 19))}, ["br: got shape (27, 19)"]),
         ({"br": np.ones((19, 27))}, ["br: got up to 1 T at r = 0"]),
@@ -394,6 +435,7 @@ TOO_FEW = ["r: got shape (1,)", "z: got shape (1,)"]
         ("r[mm],z[inch],br[T],bz[Vs]\n0,0,0,0\n", ["header bz", "header z", *TOO_FEW]),
         ("r[mm],z[mm],br[T],bz[T]\n", ["r: got shape (0,)", "z: got shape (0,)"]),
         ("r[mm],z[mm],br[T],bz[x]\n0,0,0,nan\n0,0,0,1\n", ["header bz", "rows: got 2 rows", "bz: got 1 values"]),
+        ("r[mm],z[mm],br[T],bz[T],bphi[T]\n0,0,0,0,1\n", ["columns bphi[T] that are not read", *TOO_FEW]),
         ("r[mm],z[mm],br[T],bz[T]\n0,0,0\n0,x,0,1\n", ["row 1, 2 below the header"]),
         (
             "r[mm],z[mm],br[T],bz[T]\n0,0,0,1\n0,1,0,1\n1,0,0,1\n",
