@@ -723,3 +723,12 @@ def flat(path: str, value: object) -> Iterator[tuple[str, object]]:
         return
     for name, inner in value.items():
         yield from flat(f"{path}.{name}" if path else str(name), inner)
+
+
+def is_number(text: str) -> bool:
+    """Return whether a cell of a text table is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit.base.errors import DetectorError, Problem, did_you_mean
-from cgemit.base.files import new_file, parse_toml, read_npz, read_text
+from cgemit.base.files import is_number, new_file, parse_toml, read_npz, read_text
 from cgemit.detector.field import Column, Columns, FieldGrid, checked_grid, names_in
 from cgemit.detector.reader import merged
 from cgemit.units import NATIVE, QuantityError, parse_quantity, units_of
@@ -447,21 +447,13 @@ def _numbers(rows: list[list[str]], width: int, problems: list[Problem], *, any_
     try:
         return np.array(rows, dtype=np.float64).reshape(len(rows), width)
     except ValueError:
-        wrong = [not all(map(_is_number, row)) or (len(row) != width and not any_width) for row in rows]
+        wrong = [not all(map(is_number, row)) or (len(row) != width and not any_width) for row in rows]
         bad = [i for i, one in enumerate(wrong, start=1) if one]
         shown = ", ".join(map(str, bad[:5])) + (f" and {len(bad) - 5} more" if len(bad) > 5 else "")
         if bad:
             expected = "numbers" if any_width else f"{width} numbers in every row"
             problems.append(Problem("rows", f"row {shown} below the header", expected))
         return None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...], problems: list[Problem]) -> Columns:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.errors import Problem, Problems, did_you_mean
-from cgemit.base.files import check_regular, package, read_npz
+from cgemit.base.files import check_regular, is_number, package, read_npz
 from cgemit.particles.records import (
     ENDINGS,
     ParticleError,
@@ -351,20 +351,12 @@ def _read_csv(path: Path) -> dict[str, Array]:
             columns[name] = np.array(texts, np.float64) if texts else np.empty(0)
         except ValueError:
             if _name_and_unit(name)[0] in (*_NEEDED, *_OPTIONAL):
-                bad = next(i for i, text in enumerate(texts) if not _is_number(text))
+                bad = next(i for i, text in enumerate(texts) if not is_number(text))
                 problems.append(Problem(f"line {lines[1 + bad][0]}", f"{name} {texts[bad]!r:.40}", "a number"))
             columns[name] = np.array(texts)
     if problems:
         _refuse_plain(path, problems)
     return _numbers_of(path, columns)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 _HEADER = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
