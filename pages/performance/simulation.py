@@ -84,7 +84,8 @@ def with_electrons(steps: Table, factor: int) -> Table:
 
 def read_out(result: cg.Result, readout: Readout, steps: Table) -> None:
     """Digitize and cluster."""
-    digis = digitizer_of(readout).digitize(result.detector, result.truths, steps, READOUT_SEED)
+    (group,) = result.detector.groups(readout)
+    digis = digitizer_of(readout).digitize(group, result.truths, steps, READOUT_SEED)
     cg.cluster(result.detector, digis, readout=readout)
 
 

@@ -33,7 +33,7 @@ STRUCTS = [
         "GaussianReadout",
         "simulation/digitize/gaussian.hpp",
         GaussianReadout,
-        {"errors": "sigma_x", "w_values": None, "seed": None, "first_place": None},
+        {"errors": "sigma_x", "w_values": None, "seed": None},
     ),
     ("ProjectionReadout", "simulation/digitize/projection.hpp", ProjectionReadout, {"w_values": None, "seed": None}),
     (

@@ -259,7 +259,6 @@ def smear_positions(
     w_values: npt.ArrayLike,
     errors: _Columns,
     seed: int,
-    first_place: int,
 ) -> dict[str, _Array]: ...
 def read_out_analog(
     detector: Detector,
@@ -323,6 +322,7 @@ def background_strips(
     events: npt.ArrayLike,
     *,
     clusters: npt.ArrayLike,
+    innermost: int,
     most_strips: int,
     single: Sequence[float],
     charge: Sequence[float],

@@ -46,7 +46,6 @@ from cgemit.chain.settings import (
 )
 from cgemit.detector import Detector, load
 from cgemit.detector.drift import check_wire_times
-from cgemit.detector.parts import without_layers
 from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
@@ -363,7 +362,8 @@ def _checked(
 def check_clusterer(detector: Detector | None, settings: Settings | None, until: object) -> None:
     """Raise an error if clusters of the readout cannot be made, before anything is simulated."""
     if detector is not None and settings is not None and until in STAGES[2:]:
-        clusterer_of(settings.digitize.readout).check(without_layers(detector))
+        for group in detector.groups(settings.digitize.readout):
+            clusterer_of(group.readout).check(group)
 
 
 def check_raw_times(detector: Detector | None, settings: Settings | None, until: object) -> None:

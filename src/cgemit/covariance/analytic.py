@@ -24,11 +24,10 @@ from cgemit.covariance.tracks import (
     points_of,
     sample_of,
 )
-from cgemit.detector import Detector, load
-from cgemit.detector.core import strip_view
+from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.gas import most_lost
 from cgemit.detector.keys import once
-from cgemit.detector.parts import CgemLayer, DriftChamber
+from cgemit.detector.parts import DriftChamber
 from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
@@ -217,7 +216,7 @@ def covariance_at(
     """
     readout = digitize.readout
     warn_of_losses(detector, readout)
-    hits = _hit_model(detector, clusterer_of(readout), digitize.reveal_sides, fit)
+    hits = _expected_hits(detector, digitize, fit)
     _, tracks = _tracks(points, detector, hits, fit, threads)
     if points.at_origin:
         columns = tracks.run(budget=False)
@@ -231,7 +230,7 @@ def covariance_at(
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
     """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
-    hits = _hit_model(detector, clusterer_of(digitize.readout), digitize.reveal_sides, fit)
+    hits = _expected_hits(detector, digitize, fit)
     sample, tracks = _tracks(points, detector, hits, fit, 1)
     out = tracks.run(budget=False)
     return Entries(sample, out["covariance"], out["status"])
@@ -240,7 +239,7 @@ def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, f
 def _tracks(
     points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings, threads: int | None
 ) -> tuple[Sample, Tracks]:
-    """Return the sample of points, and its tracks in a detector; arguments as of `covariance_at` and `_hit_model`."""
+    """Return the sample of points, and its tracks in a detector; see `covariance_at` and `_expected_hits`."""
     number = points.samples or (_SAMPLES if hits.vary or points.vary else 1)
     sample = sample_of(points, number, len(detector.layers))
     scatter = number > 1 and points.at_origin
@@ -277,59 +276,63 @@ class ExpectedHits(NamedTuple):
     least_electrons: int
 
 
-@once
-def _hit_model(detector: Detector, clusterer: Clusterer, sides_known: bool, fit: FitSettings) -> ExpectedHits:
+def _expected_hits(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> ExpectedHits:
     """Return how hits of a readout are expected."""
+    readout = digitize.readout
+    clusterers = tuple(clusterer_of(group.readout) for group in detector.groups(readout))
+    return _hit_model(detector, readout, clusterers, digitize.reveal_sides, fit)
+
+
+@once
+def _hit_model(
+    detector: Detector, readout: Readout, clusterers: tuple[Clusterer, ...], sides_known: bool, fit: FitSettings
+) -> ExpectedHits:
+    """Return how hits of a readout are expected from the clusterers of its groups, which may be registered anew."""
     model: HitModel = {
         "least_width": fit.least_width, "delta_strips": fit.delta_strips, "sides_known": sides_known, "seed": 0,
         "prior_sigma": fit.prior_in(detector),
     }  # fmt: skip
-    model = with_errors_of(model, clusterer, detector)
-    least = clusterer.readout.least_electrons
+    model = with_errors_of(model, detector, readout)
+    least = max(one.readout.least_electrons for one in clusterers)
     lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.layers)
     given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
     return ExpectedHits(model, lost or not given, least)
 
 
-def with_errors_of(model: HitModel, clusterer: Clusterer, detector: Detector) -> HitModel:
-    """Return a model with the errors that clusters of a readout have in a detector.
+def with_errors_of(model: HitModel, detector: Detector, readout: Readout) -> HitModel:
+    """Return a model with the errors that clusters have in a detector.
 
     Parameters
     ----------
     model : dict
-    clusterer : Clusterer
     detector : Detector
+    readout : Readout
+        Of the CGEM layers.
     """
-    errors = _errors(clusterer, detector)
-    cos_theta = COS_THETA if max(one.shape[1] for one in errors) > 1 else np.zeros(1)
-    x, v, correlation = (one.repeat(len(cos_theta) // one.shape[1], axis=1).ravel().tolist() for one in errors)
+    groups = detector.groups(readout)
+    errors = [_errors(group, clusterer_of(group.readout)) for group in groups]
+    angles = max(values.shape[1] for one in errors for values in one)
+    found = np.empty((3, len(detector.layers), angles))
+    for group, one in zip(groups, errors, strict=True):
+        for column, values in zip(found, one, strict=True):
+            column[list(group.numbers)] = values
+    x, v, correlation = (column.ravel().tolist() for column in found)
+    cos_theta = COS_THETA if angles > 1 else np.zeros(1)
     return model | {"cos_theta": cos_theta.tolist(), "sigma_x": x, "sigma_v": v, "corr_xv": correlation}
 
 
-def _errors(clusterer: Clusterer, detector: Detector) -> tuple[Floats, Floats, Floats]:
+def _errors(group: ReadoutGroup, clusterer: Clusterer) -> tuple[Floats, Floats, Floats]:
     """Return errors of X and V, mm, and their correlations, each (layers, 1) or (layers, len(COS_THETA))."""
-    readout = clusterer.readout
-    view = strip_view(detector)
-    alone, at = view.detector, view.layer
-    sigma_x, sigma_v = clusterer.expected_errors(alone)
-    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(alone)}
-    x, v, xv = (_by_angle(f"readout {readout.name}: {name}", one, len(at)) for name, one in given.items())
-    for name, values in (("sigma_x", x), ("sigma_v", v)):
+    name, layers = group.readout.name, len(group.layers)
+    sigma_x, sigma_v = clusterer.expected_errors(group)
+    given = {"sigma_x": sigma_x, "sigma_v": sigma_v, "correlations": clusterer.expected_correlations(group)}
+    x, v, xv = (_by_angle(f"readout {name}: {what}", one, layers) for what, one in given.items())
+    for what, values in (("sigma_x", x), ("sigma_v", v)):
         if not (np.isfinite(values) & (values >= 0) & ((values > 0) == (values[:, :1] > 0))).all():
-            raise ValueError(f"readout {readout.name}: {name}: expected errors above 0, or 0 for all of a layer")
+            raise ValueError(f"readout {name}: {what}: expected errors above 0, or 0 for all of a layer")
     if not (np.abs(xv) < 1).all():
-        raise ValueError(f"readout {readout.name}: correlations: expected numbers between -1 and 1")
-    xv = np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
-    if not detector.layer:
-        return x, v, xv
-    # Where a coordinate is not measured, its error is not asked for.
-    own = np.reshape([[0.0, 0.0] if isinstance(one, CgemLayer) else one.errors for one in detector.layers], (-1, 2))
-    own[own == 0] = 1.0
-    found = []
-    for values, others in ((x, own[:, 0]), (v, own[:, 1]), (xv, np.zeros(len(own)))):
-        found.append(np.repeat(others[:, None], values.shape[1], axis=1))
-        found[-1][at] = values
-    return found[0], found[1], found[2]
+        raise ValueError(f"readout {name}: correlations: expected numbers between -1 and 1")
+    return x, v, np.where((x[:, :1] > 0) & (v[:, :1] > 0), xv, 0.0)  # others are not given
 
 
 def _by_angle(name: str, given: npt.ArrayLike, layers: int) -> Floats:

@@ -22,7 +22,6 @@ from cgemit.detector import Detector, load
 from cgemit.detector.keys import once
 from cgemit.detector.parts import CgemLayer, Contents, Labelled
 from cgemit.detector.variants import values_at
-from cgemit.reconstruction.cluster import clusterer_of
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
 from cgemit.units import NATIVE
@@ -62,8 +61,7 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
         return []
     tracks = base._tracks
     smooth = [_with_stereo(one, base.detector) for one, _ in variants]  # as the cores are
-    clusterer = clusterer_of(base.readout)
-    models = [with_errors_of(tracks.model, clusterer, one) for one in smooth]
+    models = [with_errors_of(tracks.model, one, base.readout) for one in smooth]
     same = [number for number, model in enumerate(models) if model == tracks.model]
     found: dict[int, Floats] = {}
     if same:

@@ -2,7 +2,7 @@
 
 from cgemit.base.errors import DetectorError, Problem
 from cgemit.detector.core import SCREENINGS, Screening, compiled, field_at, slab_table
-from cgemit.detector.detector import Detector, load
+from cgemit.detector.detector import Detector, ReadoutGroup, load
 from cgemit.detector.export import describe, schema
 from cgemit.detector.field import Field, FieldGrid, HarmonicField, MapField, SolenoidField
 from cgemit.detector.files import detectors, fields, read_field_map, write_field_map
@@ -25,6 +25,7 @@ __all__ = [
     "Material",
     "MeasurementLayer",
     "Problem",
+    "ReadoutGroup",
     "Screening",
     "Shell",
     "Slab",

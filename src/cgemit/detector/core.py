@@ -29,9 +29,7 @@ from cgemit.detector.parts import (
     WireLayer,
     extent,
     pitches,
-    without_layers,
 )
-from cgemit.tables import Table
 
 Ints = npt.NDArray[np.int32]
 Floats = npt.NDArray[np.float64]
@@ -109,16 +107,16 @@ def gain_table(detector: Detector) -> dict[str, npt.NDArray[Any]]:
         shape (2 layers,) int32, rows and columns of each layer's grids, 0 for a layer without; values (n,) float64,
         sheet by sheet, row by row.
     """
-    if not any(layer.gain_map for layer in detector.cgem):
+    if not any(layer.gain_map for layer in detector.layers):
         return {}
-    grids = [grid_of(layer) for layer in detector.cgem]
+    grids = [grid_of(layer) for layer in detector.layers]
     return {
         "shape": np.array([n for grid in grids for n in grid.shape[1:]], dtype=np.int32),
         "values": np.concatenate([grid.ravel() for grid in grids]),
     }
 
 
-def grid_of(layer: CgemLayer) -> Floats:
+def grid_of(layer: Layer) -> Floats:
     """Return the relative gain of a layer, (sheets, rows along z, columns along X) float64.
 
     Without a map there are no rows and columns. Grids of different shapes are repeated to the least common one.
@@ -144,10 +142,10 @@ def strip_gains(detector: Detector) -> Floats:
     ----------
     detector : Detector
     """
-    if not any(layer.gain_map for layer in detector.cgem):
+    if not any(layer.gain_map for layer in detector.layers):
         return np.empty(0)
     parts = []
-    for layer in detector.cgem:
+    for layer in detector.layers:
         grid = grid_of(layer)
         for sheet in range(layer.sheets):
             if not grid.size:
@@ -574,58 +572,6 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
     return columns
-
-
-class StripView(NamedTuple):
-    """The CGEM layers of a detector as readouts with strips see them: alone, with numbers and strips of their own."""
-
-    detector: Detector
-    number: Ints  # (layers,) number among the CGEM layers, -1 for other layers
-    layer: Ints  # (CGEM layers,) their numbers in the detector
-    gid: Ints  # (CGEM layers,) what to add to the running number of a strip
-
-    def of(self, table: Table, **more: npt.NDArray[Any]) -> Table:
-        """Return rows of CGEM layers with the numbers that the layers have alone, and further columns changed."""
-        number = self.number[table["layer"]]
-        if "gid" in table:
-            more["gid"] = table["gid"] - self.gid[number]
-        return table.with_columns(layer=number, **more)
-
-    def back(self, table: Table, **more: npt.NDArray[Any]) -> Table:
-        """Return rows of CGEM layers alone with their numbers in the detector, and further columns changed."""
-        if "gid" in table:
-            more["gid"] = table["gid"] + self.gid[table["layer"]]
-        return table.with_columns(layer=self.layer[table["layer"]], **more)
-
-
-def joined(parts: Sequence[Table]) -> Table:
-    """Return the rows of tables of the same events by event and layer, those of one layer in their order.
-
-    Parameters
-    ----------
-    parts : sequence of Table
-        Of one kind and of different layers.
-    """
-    first = parts[0]
-    columns = {name: np.concatenate([one[name] for one in parts]) for name in first}
-    order = np.lexsort((columns["layer"], columns["event"]))
-    return Table(first.kind, {name: one[order] for name, one in columns.items()}, meta=first.meta, **first.cover)
-
-
-@once
-def strip_view(detector: Detector) -> StripView:
-    """Return the CGEM layers of a detector alone.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
-    alone = without_layers(detector)
-    layer = np.flatnonzero([isinstance(one, CgemLayer) for one in detector.layers]).astype(np.int32)
-    number = np.full(len(detector.layers), -1, np.int32)
-    number[layer] = np.arange(len(layer))
-    gid = np.subtract(layer_table(detector.layers)["gid_first"][layer], layer_table(alone.cgem)["gid_first"])
-    return StripView(alone, number, layer, gid.astype(np.int32))
 
 
 def wire_table(chamber: DriftChamber | None) -> Columns:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from cgemit.base.errors import DetectorError, Problem, Problems, shown
 from cgemit.detector import check, delphes, export, variants
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import CARD, field_tables, is_file, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known
-from cgemit.detector.parts import Contents, Cylinder, Layer
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, Layer, cgem_layers, cgem_numbers
 from cgemit.detector.reader import merged, set_path
+from cgemit.detector.readouts import POSITIONS, Readout
+from cgemit.tables import Table
 from cgemit.units import NATIVE
 
 
@@ -139,6 +144,114 @@ class Detector(Contents):
         0.9
         """
         return replace_field(self, source)
+
+    def groups(self, readout: Readout) -> tuple[ReadoutGroup, ...]:
+        """Return the layers by their readout: CGEM layers have the given one, all others measure positions.
+
+        Parameters
+        ----------
+        readout : Readout
+
+        Returns
+        -------
+        tuple of ReadoutGroup
+            By their innermost layer. Every layer is in one of them. A detector without layers has one without layers.
+
+        Examples
+        --------
+        >>> [(group.readout.name, group.numbers) for group in cg.load("besiii-pixel").groups(cg.TigerReadout())]
+        [('positions', (0,)), ('tiger', (1, 2, 3))]
+        """
+        cgem = cgem_numbers(self)
+        others = tuple(number for number in range(len(self.layers)) if number not in cgem)
+        if not others:
+            return (ReadoutGroup(self, readout, cgem),)
+        found = [ReadoutGroup(self, POSITIONS, others), *([ReadoutGroup(self, readout, cgem)] if cgem else [])]
+        return tuple(sorted(found, key=lambda group: group.numbers))
+
+
+@dataclass(frozen=True)
+class ReadoutGroup:
+    """The layers of a detector that are read out alike, as digitizers and clusterers see them.
+
+    Rows of tables keep the numbers of layers and strips of the whole detector.
+
+    Attributes
+    ----------
+    detector : Detector
+    readout : Readout
+    numbers : tuple of int
+        Of its layers in `Detector.layers`, growing.
+
+    Examples
+    --------
+    >>> pixels, cgem = cg.load("besiii-pixel").groups(cg.BinaryReadout())
+    >>> [(number, layer.label) for number, layer in cgem.items()]
+    [(1, 'L1'), (2, 'L2'), (3, 'L3')]
+    """
+
+    detector: Detector
+    readout: Readout
+    numbers: tuple[int, ...]
+
+    def __hash__(self) -> int:  # a readout from outside the package may have no hash
+        return hash((self.detector, self.readout.name, self.numbers))
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """The layers; `items` tells their numbers."""
+        return tuple(self.detector.layers[number] for number in self.numbers)
+
+    @property
+    def cgem(self) -> tuple[CgemLayer, ...]:
+        """The same, of a readout of CGEM layers."""
+        return cgem_layers(self.detector, self.numbers)
+
+    def items(self) -> Iterator[tuple[int, Layer]]:
+        """Return the layers with their numbers, which are those of the rows of tables."""
+        return zip(self.numbers, self.layers, strict=True)
+
+    def owns(self, table: Table) -> npt.NDArray[np.bool_]:
+        """Return which rows of a table are those of the group's layers, (rows,) bool.
+
+        Parameters
+        ----------
+        table : Table
+            With a column `layer`.
+
+        Raises
+        ------
+        ValueError
+            If a layer is not in the detector.
+        """
+        layer, layers = table["layer"], len(self.detector.layers)
+        wrong = np.flatnonzero((layer < 0) | (layer >= layers))
+        if len(wrong):
+            expected = f"a layer of the detector, 0 to {layers - 1}"
+            raise ValueError(f"{table.kind} row {wrong[0]}: layer: got {layer[wrong[0]]}, expected {expected}")
+        is_own = np.zeros(layers, np.bool_)
+        is_own[list(self.numbers)] = True
+        return np.asarray(is_own[layer])
+
+    def among_all(
+        self, values: npt.NDArray[np.float64], views: int = 1, fill: float = np.nan
+    ) -> npt.NDArray[np.float64]:
+        """Return values of the group's layers as the core takes them, for all layers of the detector.
+
+        Parameters
+        ----------
+        values : ndarray, (views * layers, ...) float64
+            Layer by layer of a view, then of the next one. Of one dimension, each layer may have several.
+        views : int
+        fill : float
+            For the other layers, of which there are no rows: a kernel that reads it makes a mistake, which NaN shows.
+        """
+        layers, own = len(self.detector.layers), len(self.numbers)
+        if own == layers:
+            return values
+        found = np.full((views, layers, values.size // (views * own)), fill)
+        found[:, list(self.numbers)] = values.reshape(views, own, -1)
+        return found.ravel() if values.ndim == 1 else found.reshape(views * layers, *values.shape[1:])
 
 
 def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:

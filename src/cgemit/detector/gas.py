@@ -22,7 +22,7 @@ from cgemit.base.errors import Problems, refuse
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, Layer, Shell
+from cgemit.detector.parts import CgemLayer, Contents, Layer, Shell, cgem_layers
 
 Floats = NDArray[np.float64]
 
@@ -617,12 +617,14 @@ def _gaps_behind(layer: CgemLayer, transfer: Transport, induction: Transport) ->
 
 
 @lru_cache(maxsize=64)
-def drift_columns(detector: Detector) -> dict[str, Floats]:
-    """Return the drift of all CGEM layers as columns, each (layers,) float64, see `LayerDrift`.
+def drift_columns(detector: Detector, cgem: tuple[int, ...] | None = None) -> dict[str, Floats]:
+    """Return the drift of CGEM layers as columns, each (layers,) float64, see `LayerDrift`.
 
     Parameters
     ----------
     detector : Detector
+    cgem : tuple of int or None
+        See `cgem_layers`.
 
     Raises
     ------
@@ -630,7 +632,7 @@ def drift_columns(detector: Detector) -> dict[str, Floats]:
         Listing the problems of all layers.
     """
     problems, found = Problems(), []
-    for layer in detector.cgem:
+    for layer in cgem_layers(detector, cgem):
         try:
             found.append(layer_drift(layer, detector.field.bz))
         except ValueError as error:

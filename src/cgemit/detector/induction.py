@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cgemit.detector.detector import Detector
 from cgemit.detector.gas import drift_columns
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.parts import CgemLayer, cgem_layers
 
 Floats = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def _of_plane(pitch: float, gap: float, sigma: float, lean: float, reach: int) -
     return np.stack(charges, axis=1)
 
 
-def cloud_widths(detector: Detector, diffusion: float) -> Floats:
+def cloud_widths(detector: Detector, diffusion: float, cgem: tuple[int, ...] | None = None) -> Floats:
     """Return the widths of avalanches across the strips, (2, layers) float64, mm, of X and V.
 
     Parameters
@@ -80,11 +80,13 @@ def cloud_widths(detector: Detector, diffusion: float) -> Floats:
     detector : Detector
     diffusion : float
         Factor on the widths.
+    cgem : tuple of int or None
+        See `cgem_layers`.
     """
-    drift = drift_columns(detector)
-    around = diffusion * drift["cloud_phi"] * np.array([layer.r_readout for layer in detector.cgem])
+    layers, drift = cgem_layers(detector, cgem), drift_columns(detector, cgem)
+    around = diffusion * drift["cloud_phi"] * np.array([layer.r_readout for layer in layers])
     along = diffusion * drift["cloud_z"]
-    stereo = np.array([layer.stereo for layer in detector.cgem])
+    stereo = np.array([layer.stereo for layer in layers])
     return np.array([around, np.hypot(np.cos(stereo) * around, np.sin(stereo) * along)])
 
 
@@ -108,7 +110,9 @@ def charges_of_plane(pitch: float, gap: float, width: float) -> tuple[Floats, in
     return _of_plane(pitch, gap, width, 0.0, reach)[None], reach
 
 
-def induced_charges(detector: Detector, diffusion: float, lorentz: bool) -> tuple[Floats, int]:
+def induced_charges(
+    detector: Detector, diffusion: float, lorentz: bool, cgem: tuple[int, ...] | None = None
+) -> tuple[Floats, int]:
     """Return the charges that avalanches induce on strips, as the core takes them.
 
     Parameters
@@ -118,6 +122,8 @@ def induced_charges(detector: Detector, diffusion: float, lorentz: bool) -> tupl
         Factor on the widths of the cloud.
     lorentz : bool
         Whether the Lorentz angle acts.
+    cgem : tuple of int or None
+        See `cgem_layers`.
 
     Returns
     -------
@@ -126,9 +132,9 @@ def induced_charges(detector: Detector, diffusion: float, lorentz: bool) -> tupl
     reach : int
         Strips on either side.
     """
-    layers = detector.cgem
-    widths, pitches = cloud_widths(detector, diffusion), _pitches(layers)
-    lean = drift_columns(detector)["lean"] * np.array([layer.r_readout for layer in layers]) * lorentz
+    layers = cgem_layers(detector, cgem)
+    widths, pitches = cloud_widths(detector, diffusion, cgem), _pitches(layers)
+    lean = drift_columns(detector, cgem)["lean"] * np.array([layer.r_readout for layer in layers]) * lorentz
     leans = np.array([lean, lean * np.cos([layer.stereo for layer in layers])])
     reach = _reach(pitches, np.array([layer.induction_gap for layer in layers]), widths)
     planes = [

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
@@ -816,9 +816,6 @@ class Contents(Part):
         return layers_of(self)
 
 
-D = TypeVar("D", bound=Contents)
-
-
 @once
 def layers_of(detector: Contents) -> Labelled[Layer]:
     """Return the cylinders that measure, by radius.
@@ -832,14 +829,28 @@ def layers_of(detector: Contents) -> Labelled[Layer]:
 
 
 @once
-def without_layers(detector: D) -> D:
-    """Return the detector with CGEM layers alone, as readouts with strips see it; itself if it has no others.
+def cgem_numbers(detector: Contents) -> tuple[int, ...]:
+    """Return the numbers of the CGEM layers among all layers.
 
     Parameters
     ----------
     detector : Contents
     """
-    return replace(detector, layer=Labelled()) if detector.layer else detector
+    return tuple(number for number, layer in enumerate(detector.layers) if isinstance(layer, CgemLayer))
+
+
+def cgem_layers(detector: Contents, cgem: tuple[int, ...] | None = None) -> tuple[CgemLayer, ...]:
+    """Return some CGEM layers, or all of them.
+
+    Parameters
+    ----------
+    detector : Contents
+    cgem : tuple of int or None
+        Their numbers among all layers; None: all CGEM layers.
+    """
+    if cgem is None:
+        return detector.cgem
+    return tuple(layer for layer in map(detector.layers.__getitem__, cgem) if isinstance(layer, CgemLayer))
 
 
 def local_v(layer: Layer, x: Floats | float, z: Floats | float) -> Floats:

@@ -1,4 +1,4 @@
-"""Readouts of CGEM layers as hardware: what digitization and clustering both know of them (docs/methods/readout.md).
+"""Readouts of layers as hardware: what digitization and clustering both know of them (docs/methods/readout.md).
 
 A readout is described here, digitized by the digitizer of its class (`cgemit.simulation.digitize.DIGITIZERS`) and
 clustered by the clusterer of its class (`cgemit.reconstruction.cluster.CLUSTERERS`).
@@ -11,13 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, NotNegative, Positive
+from cgemit.detector.parts import Layer, MeasurementLayer
 from cgemit.units import parse_quantity
 
 Floats = npt.NDArray[np.float64]
@@ -94,8 +95,62 @@ class BinaryReadout(Readout):
         return math.ceil(min(self.threshold / (self.gain * ELECTRON), 1e6))  # beyond any gap
 
 
+class Precision(NamedTuple):
+    """How a layer measures positions."""
+
+    sigma_x: float  # mm; 0: the middle of a strip
+    sigma_v: float  # mm; 0: the middle of a strip
+    efficiency: float  # of both views together
+    sigma_time: float  # ns
+
+
 @dataclass(frozen=True, kw_only=True)
-class GaussianReadout(Readout):
+class PositionReadout(Readout):
+    """No strips: positions X and V, with the errors, the efficiency and the time of each layer (`[layer.NAME]`)."""
+
+    name: ClassVar[str] = "positions"
+
+    @property
+    def least_electrons(self) -> int:
+        """0: positions need no ionization."""
+        return 0
+
+    @property
+    def gain(self) -> float:
+        """Electrons per electron of ionization; 0: the charge is not measured."""
+        return 0.0
+
+    def precision(self, layer: Layer) -> Precision:
+        """Return how a layer measures.
+
+        Parameters
+        ----------
+        layer : MeasurementLayer
+        """
+        layer = self._measured(layer)
+        return Precision(layer.sigma_x, layer.sigma_v, layer.efficiency, layer.sigma_time)
+
+    def errors(self, layer: Layer) -> tuple[float, float]:
+        """Return the errors of X and V of a layer, mm; 0 where it is not measured.
+
+        Parameters
+        ----------
+        layer : MeasurementLayer
+        """
+        return self._measured(layer).errors
+
+    def _measured(self, layer: Layer) -> MeasurementLayer:
+        if isinstance(layer, MeasurementLayer):
+            return layer
+        raise ValueError(f"readout {self.name}: got CGEM layer {layer.label}, expected a layer with errors of its own")
+
+
+#: Of all layers `[layer.NAME]`.
+POSITIONS = PositionReadout()
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianReadout(PositionReadout):
     """No strips: X and V at mid-gap are measured with independent Gaussian errors, whatever the crossing deposits.
 
     Attributes
@@ -126,10 +181,13 @@ class GaussianReadout(Readout):
     sigma_v: Width = 0.1327
     gain: Gain = GAIN
 
-    @property
-    def least_electrons(self) -> int:
-        """0: positions need no ionization."""
-        return 0
+    def precision(self, layer: Layer) -> Precision:
+        """Return the given errors; every crossing is measured, at its true time."""
+        return Precision(self.sigma_x, self.sigma_v, 1.0, 0.0)
+
+    def errors(self, layer: Layer) -> tuple[float, float]:
+        """Return the given errors."""
+        return self.sigma_x, self.sigma_v
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Rectangle, Wedge
 
 from cgemit.base.files import new_file
-from cgemit.detector.core import strip_view
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.parts import CgemLayer, cgem_numbers
 from cgemit.draw.event import (
     Array,
     EventView,
@@ -98,7 +97,7 @@ def event(result: Result, number: int = 0) -> Picture:
         _frame(axes[2], "z  (mm)", "r  (mm)")
         axes[2].set(xlim=(-1.03 * view.z, 1.03 * view.z), ylim=(0, 1.03 * view.r))
         _tracks(axes, view)
-        for layer, plot in zip(strip_view(detector).layer.tolist(), anodes, strict=True):
+        for layer, plot in zip(cgem_numbers(detector), anodes, strict=True):
             _anode(plot, view, layer)
         if charges:
             draw_cluster_strips(charges, view)

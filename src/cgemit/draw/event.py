@@ -12,8 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from cgemit.chain.settings import fit_settings
-from cgemit.detector.core import strip_view
-from cgemit.detector.parts import CgemLayer, Cylinder, MeasurementLayer, crossing_z, v_of_strips
+from cgemit.detector.parts import CgemLayer, Cylinder, MeasurementLayer, cgem_numbers, crossing_z, v_of_strips
 from cgemit.draw.style import COLORS, plain, statistics_box
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.particles.species import species
@@ -434,7 +433,7 @@ def draw_cluster_strips(axes: list[Axes], view: EventView) -> None:
         For each CGEM layer; the last one gets the scale of the times.
     view : EventView
     """
-    layers = [cluster_strips(view, number) for number in strip_view(view.detector).layer.tolist()]
+    layers = [cluster_strips(view, number) for number in cgem_numbers(view.detector)]
     times = np.concatenate([np.empty(0), *(one.time for layer in layers for one in layer)])
     low, high = (float(times.min()), float(times.max())) if len(times) else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high if high > low else low + 1.0), _TIMES)

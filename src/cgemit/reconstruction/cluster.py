@@ -6,19 +6,15 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from cgemit.detector import CgemLayer, Detector, load
+from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.channels import checked
-from cgemit.detector.core import StripView, strip_view
 from cgemit.detector.gas import most_lost
 from cgemit.detector.readouts import (
     READOUTS,
     AnalogReadout,
     BinaryReadout,
     ChargeReadout,
-    GaussianReadout,
+    PositionReadout,
     ProjectionReadout,
     Readout,
     names_of,
@@ -27,14 +23,14 @@ from cgemit.detector.readouts import (
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
-from cgemit.reconstruction.clusterers.gaussian import GaussianClusterer, clusters_of_positions
+from cgemit.reconstruction.clusterers.gaussian import PositionClusterer
 from cgemit.tables import Table
-from cgemit.tables.table import made_by
+from cgemit.tables.table import made_by, merged
 
 #: Clusterers by the class of their readout; they serve the classes that extend it, too.
 CLUSTERERS: dict[type[Readout], type[Clusterer]] = {
     BinaryReadout: BinaryClusterer,
-    GaussianReadout: GaussianClusterer,
+    PositionReadout: PositionClusterer,
     AnalogReadout: ChargeTimeClusterer,
     ProjectionReadout: ProjectionClusterer,
 }
@@ -90,7 +86,11 @@ def warn_of_losses(detector: Detector, readout: Readout) -> None:
     detector : Detector
     readout : Readout
     """
-    lost = [(layer, most_lost(layer, readout.least_electrons)) for layer in detector.cgem]
+    lost = [
+        (layer, most_lost(layer, group.readout.least_electrons))
+        for group in detector.groups(readout)
+        for layer in group.cgem
+    ]
     thin = [
         f"{layer.label} {loss:.0%} (drift_gap {layer.drift_gap:g} mm)"
         for layer, loss in lost
@@ -112,6 +112,7 @@ def cluster(
     *,
     readout: Readout | str = "binary",
     directions: Floats | None = None,
+    clusters: Table | None = None,
 ) -> Table:
     """Join digis to X and V clusters, and X and V clusters that belong together to XV clusters.
 
@@ -126,6 +127,9 @@ def cluster(
         readout with its defaults.
     directions : (clusters, 2) float64 or None
         Of fitted tracks, see `Clusterer.cluster`.
+    clusters : Table or None
+        To whose rows the directions belong: those of the same digis without directions. None: they are made first if
+        they are needed.
 
     Returns
     -------
@@ -147,41 +151,15 @@ def cluster(
     """
     clusterer, detector, settings = clusterer_of(readout), load(detector), ClusterSettings.of(settings)
 
-    def of_readout(alone: Detector, digis: Table, directions: Floats | None) -> Table:
-        found = clusterer.cluster(alone, digis, settings, directions)
-        return made_by(f"readout {clusterer.readout.name}", "clusters", found, digis)
+    def of_group(group: ReadoutGroup, digis: Table, directions: Floats | None) -> Table:
+        found = clusterer_of(group.readout).cluster(group, digis, settings, directions)
+        return made_by(f"readout {group.readout.name}", "clusters", found, digis)
 
-    if not detector.layer:
-        return of_readout(detector, digis, directions)
-    # The readout sees CGEM layers alone; other layers measure positions.
-    view = strip_view(detector)
-    is_strip = _numbers(view, digis) >= 0
-    errors = [(0.0, 0.0) if isinstance(one, CgemLayer) else one.errors for one in detector.layers]
-    positions = clusters_of_positions(detector, digis[~is_strip], np.reshape(errors, (-1, 2)))
-    strips, own = view.of(digis[is_strip]), None
-    if directions is not None:
-        own = directions[_numbers(view, _joined(view.back(of_readout(view.detector, strips, None)), positions)) >= 0]
-    return _joined(view.back(of_readout(view.detector, strips, own)), positions)
-
-
-def _numbers(view: StripView, table: Table) -> npt.NDArray[np.int32]:
-    """Return the number of each row's layer among the CGEM layers, (rows,) int32; -1 for others."""
-    layer = table["layer"]
-    wrong = np.flatnonzero((layer < 0) | (layer >= len(view.number)))
-    if len(wrong):
-        expected = f"a layer of the detector, 0 to {len(view.number) - 1}"
-        raise ValueError(f"{table.kind} row {wrong[0]}: layer: got {layer[wrong[0]]}, expected {expected}")
-    return np.asarray(view.number[layer])
-
-
-def _joined(strips: Table, positions: Table) -> Table:
-    """Return the clusters of both kinds of layers, by event and layer, with the links from points to their views."""
-    of_positions = {name: np.zeros(len(positions), strips[name].dtype) for name in strips} | dict(positions.columns)
-    columns = {name: np.concatenate([strips[name], of_positions[name]]) for name in strips}
-    for name in ("x_cluster", "v_cluster"):
-        columns[name][len(strips) :] += np.where(positions[name] < 0, 0, len(strips))
-    order = np.lexsort((columns["layer"], columns["event"]))
-    place = np.append(np.argsort(order), -1)
-    for name in ("x_cluster", "v_cluster"):
-        columns[name] = place[columns[name]].astype(columns[name].dtype)
-    return Table("clusters", {name: one[order] for name, one in columns.items()}, meta=strips.meta, **strips.cover)
+    groups = detector.groups(clusterer.readout)
+    if len(groups) == 1:
+        return of_group(groups[0], digis, directions)
+    if directions is None:
+        return merged([of_group(group, digis[group.owns(digis)], None) for group in groups])
+    if clusters is None:
+        clusters = cluster.unchecked(detector, digis, settings, readout=clusterer.readout)
+    return merged([of_group(group, digis[group.owns(digis)], directions[group.owns(clusters)]) for group in groups])

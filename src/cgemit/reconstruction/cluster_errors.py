@@ -20,7 +20,7 @@ from cgemit import _core
 from cgemit.detector import Detector
 from cgemit.detector.gas import cluster_shares, cluster_sizes, clusters_per_mm, drift_columns, ionization
 from cgemit.detector.induction import WAY, charges_of_plane, cloud_widths
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.parts import CgemLayer, cgem_layers
 from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, ChipErrors, chip_arguments
 
 Floats = npt.NDArray[np.float64]
@@ -89,20 +89,22 @@ class ErrorInputs(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def error_inputs(detector: Detector, readout: ChargeReadout) -> ErrorInputs:
+def error_inputs(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...] | None = None) -> ErrorInputs:
     """Return the inputs of the error formulas.
 
     Parameters
     ----------
     detector : Detector
     readout : ChargeReadout
+    cgem : tuple of int or None
+        See `cgem_layers`.
 
     Raises
     ------
     ValueError
         If a layer's gas or field has no table of electron transport.
     """
-    return ErrorInputs(_chip(readout), _planes(detector, readout), _shares(detector, readout))
+    return ErrorInputs(_chip(readout), _planes(detector, readout, cgem), _shares(detector, readout, cgem))
 
 
 def _gain_variance(readout: ChargeReadout) -> float:
@@ -134,15 +136,15 @@ def _thresholds(readout: ChargeReadout) -> tuple[float, float]:
     )
 
 
-def _planes(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+def _planes(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...] | None) -> dict[str, Floats]:
     """Return pitch, gap, velocity, variances of diffusion and cloud, and threshold of X, then of V of all layers."""
     rows = []
     for view, threshold in enumerate(_thresholds(readout)):
-        for number, layer in enumerate(detector.cgem):
+        for number, layer in enumerate(cgem_layers(detector, cgem)):
             pitch = layer.pitch_x if view == 0 else layer.pitch_v
             if isinstance(readout, AnalogReadout):
-                drift = {name: float(one[number]) for name, one in drift_columns(detector).items()}
-                cloud = float(cloud_widths(detector, readout.diffusion)[view, number]) ** 2
+                drift = {name: float(one[number]) for name, one in drift_columns(detector, cgem).items()}
+                cloud = float(cloud_widths(detector, readout.diffusion, cgem)[view, number]) ** 2
                 place = _place_variance(layer, readout, drift, view)
                 widths = drift["velocity"], place, cloud
             else:
@@ -164,11 +166,11 @@ def _place_variance(layer: CgemLayer, readout: AnalogReadout, drift: dict[str, f
     return along_x if view == 0 else math.cos(layer.stereo) ** 2 * along_x + math.sin(layer.stereo) ** 2 * along_z
 
 
-def _shares(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+def _shares(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...] | None) -> dict[str, Floats]:
     variance = _gain_variance(readout)
     values, apart, times, logs = [], [], [], []
-    drift = drift_columns(detector) if isinstance(readout, AnalogReadout) else None
-    for number, layer in enumerate(detector.cgem):
+    drift = drift_columns(detector, cgem) if isinstance(readout, AnalogReadout) else None
+    for number, layer in enumerate(cgem_layers(detector, cgem)):
         mean = float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * layer.drift_gap
         table = cluster_shares(layer.gas.ionization)
         values.append([table.shares(mean * path, _NUMBERS, variance) for path in _PATHS])
@@ -212,7 +214,7 @@ def _drifting(gas: str, clusters: float, gain_variance: float) -> dict[str, npt.
 
 
 @lru_cache(maxsize=64)
-def chip_delays(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]:
+def chip_delays(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...] | None = None) -> dict[str, Floats]:
     """Return the delays of the chip for X, then V of all layers, see ``DelayTable`` of the core.
 
     The mean over tracks with fluctuating ionization, for strips that see parts of the gap.
@@ -221,14 +223,16 @@ def chip_delays(detector: Detector, readout: ChargeReadout) -> dict[str, Floats]
     ----------
     detector : Detector
     readout : ChargeReadout
+    cgem : tuple of int or None
+        See `cgem_layers`.
     """
-    planes = _planes(detector, readout)
+    planes = _planes(detector, readout, cgem)
     n = len(planes["pitch"])
     if not isinstance(readout, AnalogReadout):
         return {"spreads": np.zeros(1), "charges": np.tile([0.0, 1.0], n), "delays": np.zeros(2 * n)}
-    induction = np.tile(drift_columns(detector)["induction"], 2)
+    induction = np.tile(drift_columns(detector, cgem)["induction"], 2)
     charges, delays = np.empty((n, _CHARGES)), np.empty((n, len(_SPREADS), _CHARGES))
-    for i, layer in enumerate(detector.cgem * 2):
+    for i, layer in enumerate(cgem_layers(detector, cgem) * 2):
         pitch, gap, velocity, place, cloud, threshold = (float(column[i]) for column in planes.values())
         width = math.sqrt(place + cloud)
         # The slopes with which a strip sees parts of the gap.
@@ -258,7 +262,9 @@ class Expected(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def expected_errors(detector: Detector, readout: ChargeReadout, estimator: str, of_track: bool) -> Expected:
+def expected_errors(
+    detector: Detector, readout: ChargeReadout, estimator: str, of_track: bool, cgem: tuple[int, ...] | None = None
+) -> Expected:
     """Return the errors that a readout is expected to have, without events.
 
     The formulas are those of a cluster that is seen, for the mean width, and the geometric mean over numbers of
@@ -271,17 +277,19 @@ def expected_errors(detector: Detector, readout: ChargeReadout, estimator: str, 
     estimator : str
     of_track : bool
         Whether clusters know the slopes of their tracks.
+    cgem : tuple of int or None
+        See `cgem_layers`.
     """
-    if not detector.cgem:
+    layers = cgem_layers(detector, cgem)
+    if not layers:
         none = np.zeros((0, len(COS_THETA)))
         return Expected(none, none, none)
-    inputs = error_inputs(detector, readout)
-    layers = detector.cgem
+    inputs = error_inputs(detector, readout, cgem)
     tilt = COS_THETA / np.sqrt(1 - COS_THETA**2)  # z over radius
     path = np.hypot(1.0, tilt)
-    lorentz = drift_columns(detector)["tan_lorentz"] if isinstance(readout, AnalogReadout) else np.zeros(len(layers))
-    if isinstance(readout, AnalogReadout) and not readout.lorentz:
-        lorentz = np.zeros(len(layers))
+    lorentz = np.zeros(len(layers))
+    if isinstance(readout, AnalogReadout) and readout.lorentz:
+        lorentz = drift_columns(detector, cgem)["tan_lorentz"]
     slopes = np.array(
         [
             [

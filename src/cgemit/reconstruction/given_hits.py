@@ -12,8 +12,7 @@ import numpy.typing as npt
 from cgemit import _core, helix
 from cgemit.base.errors import did_you_mean
 from cgemit.detector import Detector, compiled, load
-from cgemit.detector.core import strip_view
-from cgemit.detector.parts import crossing_z, local_v, pitches, without_layers
+from cgemit.detector.parts import cgem_numbers, crossing_z, local_v, pitches
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import (
     HIT_V,
@@ -444,16 +443,16 @@ def _cluster_columns(detector: Detector, given: Columns, settings: ClusterSettin
     columns["sheet"] = _sheets(detector, columns, "sheet" in has, problems)
     for name, value in (("first", -1), ("last", -1), ("size", 0)):
         columns[name] = given.get(name, np.full(n, value)).copy()
-    errors = cluster_errors(without_layers(detector), settings) if "first" in has else None
-    of_cgem = strip_view(detector).number
+    of_cgem: dict[int, tuple[Column, Column]] = {}
+    if "first" in has:
+        errors = cluster_errors(detector, settings)
+        of_cgem = dict(zip(cgem_numbers(detector), zip(*errors, strict=True), strict=True))
     for number, layer in enumerate(detector.layers):
         rows = np.flatnonzero(given["layer"] == number)
         mine = {name: columns[name][rows] for name in (*names, "view", "sheet", "first", "last", "size", "cov_xv")}
         mine |= {name: given[name][rows] for name in ("err", "cov", "cov_phi_z") if name in has}
         mine["r"] = np.full(len(rows), layer.r_mid)
-        strips = errors is not None and of_cgem[number] >= 0
-        of_strips = (errors[0][of_cgem[number]], errors[1][of_cgem[number]]) if errors and strips else None
-        _fill_layer(layer, mine, of_strips, keep_size="size" in has)
+        _fill_layer(layer, mine, of_cgem.get(number), keep_size="size" in has)
         for name in (*names, "size", "cov_xv", "r"):
             columns[name][rows] = mine[name]
     return columns

@@ -298,7 +298,9 @@ class ClusterDirection(Refinement):
         if hits.digis is None:
             raise ValueError("reconstruct: got no digis, expected the strips of the clusters, which are made again")
         directions = track_directions(detector, len(hits.clusters), turn.states)
-        again = cluster.unchecked(detector, hits.digis, self._settings, readout=self._readout, directions=directions)
+        again = cluster.unchecked(
+            detector, hits.digis, self._settings, readout=self._readout, directions=directions, clusters=hits.clusters
+        )
         return replace(hits, clusters=again)
 
 

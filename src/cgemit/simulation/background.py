@@ -19,14 +19,14 @@ from cgemit.base.validate import Check, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
 from cgemit.detector.channels import channels_of, checked
-from cgemit.detector.core import compiled, joined, strip_lists, strip_view
+from cgemit.detector.core import compiled, layer_table, strip_lists
 from cgemit.detector.drift import distance_at, shifted
-from cgemit.detector.parts import BackgroundLevel, WireLayer
+from cgemit.detector.parts import BackgroundLevel, WireLayer, cgem_numbers
 from cgemit.simulation.digitize import without_dead
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
 from cgemit.tables.store import INDEX, StoredTables
-from cgemit.tables.table import stacked
+from cgemit.tables.table import merged, stacked
 
 Level = Annotated[str, Check(lambda value: 0 < len(value) <= 100, "off, or the label of a level of the detector")]
 Factor = Annotated[float, Check(lambda value: 0 <= value <= 100, "a number from 0 to 100")]
@@ -170,8 +170,7 @@ def add_background(
     if settings.events:
         mixed = mix_events.unchecked(detector, digis, wire_hits, settings.events, offset=settings.offset, seed=seed)
         digis, wire_hits = mixed["digis"], mixed["wire_hits"]
-    of_cgem = digis["strip"][strip_view(detector).number[digis["layer"]] >= 0] if detector.layer else digis["strip"]
-    has_strips = bool((of_cgem >= 0).all())
+    has_strips = bool((digis["strip"][_of_cgem(detector, digis)] >= 0).all())
     if level is not None and not settings.is_off:
         digis, wire_hits = read_out(level, digis, wire_hits, seed)
         if has_strips:
@@ -292,23 +291,26 @@ def _shares(layers: Sequence[WireLayer], level: BackgroundLevel, factor: float) 
 
 def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digis: Table, seed: int) -> Table:
     """Return digis with strips of the background and listed hot strips, without dead ones; CGEM layers only."""
-    if detector.layer:
-        view = strip_view(detector)
-        is_strip = view.number[digis["layer"]] >= 0
-        own = _with_strips(view.detector, level, factor, view.of(digis[is_strip]), seed)
-        return joined([view.back(own), digis[~is_strip]])
+    is_strip = _of_cgem(detector, digis)
+    if not is_strip.all():  # positions have no channel
+        return merged([_with_strips(detector, level, factor, digis[is_strip], seed), digis[~is_strip]])
     layers, listed = detector.cgem, strip_lists(detector).hot
+    if not layers:
+        return digis
     area = [layer.sheets * layer.strips_x * layer.pitch_x * 2 * layer.half_length / 100 for layer in layers]  # cm^2
     rate = (
         level.cluster_rate
         * (np.array([layer.r_readout for layer in layers]) / level.cluster_radius) ** level.cluster_power
     )
-    gids = np.arange(sum(layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers), dtype=np.int32)
+    numbers, first = list(cgem_numbers(detector)), layer_table(detector.layers)["gid_first"]
+    strips_of = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
+    gids = np.concatenate([np.arange(n, dtype=np.int32) + first[i] for i, n in zip(numbers, strips_of, strict=True)])
+    clusters = np.zeros(len(detector.layers))
+    clusters[numbers] = rate * area * level.strip_window * 1e-6 * factor
     hot = gids[channel_kinds(gids, STRIPS) >= 1 - level.hot_strips]
     hot_fires = np.full(len(hot), _probability(level.hot_strip_rate, level.strip_window, factor))
     strips = _core.background_strips(
-        compiled(detector), digis.events, clusters=rate * area * level.strip_window * 1e-6 * factor,
-        most_strips=level.cluster_strips,
+        compiled(detector), digis.events, clusters=clusters, innermost=numbers[0], most_strips=level.cluster_strips,
         single=_probability([level.noise_x, level.noise_v], level.strip_window, factor).tolist(),
         charge=(level.charge_low, level.charge_high), window=level.strip_window,
         hot=np.concatenate([hot, listed]), hot_fires=np.concatenate([hot_fires, np.ones(len(listed))]), seed=seed,
@@ -324,6 +326,13 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     if level.dead_strips > 0:
         digis = digis[channel_kinds(digis["gid"], STRIPS) >= level.dead_strips]
     return digis
+
+
+def _of_cgem(detector: Detector, digis: Table) -> npt.NDArray[np.bool_]:
+    """Return which digis are those of CGEM layers, (digis,) bool."""
+    is_cgem = np.zeros(len(detector.layers), np.bool_)
+    is_cgem[list(cgem_numbers(detector))] = True
+    return np.asarray(is_cgem[digis["layer"]])
 
 
 def _like(given: Table, columns: Mapping[str, Any], rows: Rows) -> Table:

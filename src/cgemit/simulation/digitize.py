@@ -12,9 +12,9 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import check_numbers, one_of
-from cgemit.detector import Detector, compiled, load
+from cgemit.detector import Detector, ReadoutGroup, compiled, load
 from cgemit.detector.channels import checked
-from cgemit.detector.core import in_dead_area, joined, strip_lists, strip_view
+from cgemit.detector.core import in_dead_area, strip_lists
 from cgemit.detector.drift import (
     XT_DISTANCE,
     XT_TIME,
@@ -26,7 +26,7 @@ from cgemit.detector.readouts import (
     READOUTS,
     AnalogReadout,
     BinaryReadout,
-    GaussianReadout,
+    PositionReadout,
     ProjectionReadout,
     Readout,
     part_of,
@@ -35,12 +35,11 @@ from cgemit.simulation.digitizers import (
     AnalogDigitizer,
     BinaryDigitizer,
     Digitizer,
-    GaussianDigitizer,
+    PositionDigitizer,
     ProjectionDigitizer,
-    measured_positions,
 )
 from cgemit.tables import Table
-from cgemit.tables.table import made_by
+from cgemit.tables.table import made_by, merged
 
 Floats = npt.NDArray[np.float64]
 
@@ -112,7 +111,7 @@ def true_delay(detector: Detector, wire_truths: Table) -> Floats:
 #: Digitizers by the class of their readout; they serve the classes that extend it, too.
 DIGITIZERS: dict[type[Readout], type[Digitizer]] = {
     BinaryReadout: BinaryDigitizer,
-    GaussianReadout: GaussianDigitizer,
+    PositionReadout: PositionDigitizer,
     AnalogReadout: AnalogDigitizer,
     ProjectionReadout: ProjectionDigitizer,
 }
@@ -226,37 +225,25 @@ def digitize(
 
 
 def _digis(detector: Detector, readout: Readout, truths: Table, steps: Table, seed: int) -> Table:
-    """Return the digis of all layers: the readout's, which sees CGEM layers alone, and positions of the others."""
+    """Return the digis of all layers, group by group."""
 
-    def of_readout(alone: Detector, truths: Table, steps: Table) -> Table:
-        digis = digitizer_of(readout).digitize(alone, truths, steps, seed)
-        return made_by(f"readout {readout.name}", "digis", digis, truths)
+    def read(group: ReadoutGroup, truths: Table, steps: Table) -> Table:
+        digis = digitizer_of(group.readout).digitize(group, truths, steps, seed)
+        return made_by(f"readout {group.readout.name}", "digis", digis, truths)
 
-    if not detector.layer:
-        return of_readout(detector, truths, steps)
-    view = strip_view(detector)
-    is_strip = view.number[truths["layer"]] >= 0
-    rows, others = np.flatnonzero(is_strip), np.flatnonzero(~is_strip)
-    place = np.cumsum(is_strip) - 1  # of a truth among those of CGEM layers
-    of_strips = steps[view.number[steps["layer"]] >= 0]
-    of_strips = view.of(of_strips, truth=place[of_strips["truth"]])
-    strips = view.back(of_readout(view.detector, view.of(truths[rows]), of_strips))
-    positions = measured_positions(detector, truths[others], seed)
-    return joined([linked(strips, rows), linked(positions, others)])
-
-
-def linked(table: Table, rows: npt.NDArray[np.int64]) -> Table:
-    """Return rows that link to some of the truths, linked to all of them; a link below 0 is none.
-
-    Parameters
-    ----------
-    table : Table
-    rows : ndarray, (n,) int
-        The truths that they link to now.
-    """
-    if not len(rows):
-        return table
-    return table.with_columns(truth=np.where(table["truth"] < 0, -1, rows[np.maximum(table["truth"], 0)]))
+    groups = detector.groups(readout)
+    if len(groups) == 1:
+        return read(groups[0], truths, steps)
+    found = []
+    for group in groups:
+        is_own = group.owns(truths)
+        of_own = steps[group.owns(steps)]
+        place = np.cumsum(is_own) - 1  # of a truth among those of the group
+        of_own = of_own.with_columns(truth=place[of_own["truth"]])
+        digis = read(group, truths[is_own], of_own)
+        link = np.append(np.flatnonzero(is_own), -1)[np.maximum(digis["truth"], -1)]
+        found.append(digis.with_columns(truth=link))
+    return merged(found)
 
 
 def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:

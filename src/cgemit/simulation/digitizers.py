@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled
+from cgemit.detector import ReadoutGroup, compiled
 from cgemit.detector.core import gain_table
 from cgemit.detector.gas import drift_columns, w_values
 from cgemit.detector.induction import WAY, induced_charges
-from cgemit.detector.parts import MeasurementLayer
 from cgemit.detector.readouts import (
     AnalogReadout,
     BinaryReadout,
-    GaussianReadout,
+    PositionReadout,
+    Precision,
     ProjectionReadout,
     Readout,
     chip_arguments,
@@ -42,14 +42,15 @@ class Digitizer(ABC):
         return False
 
     @abstractmethod
-    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the table ``digis`` of the crossings, by event, layer, sheet and view.
 
         Parameters
         ----------
-        detector : Detector
+        group : ReadoutGroup
+            Layers with this readout. Layers and strips (gid) have the numbers of the whole detector in all tables.
         truths, steps : Table
-            Steps are linked to the truths and in their order.
+            Of its layers. Steps are linked to the truths and in their order.
         seed : int
             Key of the random numbers.
         """
@@ -60,11 +61,11 @@ class BinaryDigitizer(Digitizer):
 
     readout: BinaryReadout
 
-    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the fired strips, see `Digitizer.digitize`."""
         digis = _core.read_out_strips(
-            compiled(detector), dict(truths.columns), dict(steps.columns), gain=self.readout.gain,
-            w_values=w_values(detector), threshold=self.readout.threshold, gains=gain_table(detector),
+            compiled(group.detector), dict(truths.columns), dict(steps.columns), gain=self.readout.gain,
+            w_values=w_values(group.detector), threshold=self.readout.threshold, gains=gain_table(group.detector),
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
@@ -77,52 +78,31 @@ class ProjectionDigitizer(Digitizer):
 
     readout: ProjectionReadout
 
-    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the strips above threshold, see `Digitizer.digitize`."""
         one = self.readout
         digis = _core.read_out_profiles(
-            compiled(detector), dict(truths.columns), dict(steps.columns), gain=one.gain, w_values=w_values(detector),
-            sigma=one.sigma, threshold=one.threshold, noise=one.noise, seed=seed, gains=gain_table(detector),
+            compiled(group.detector), dict(truths.columns), dict(steps.columns), gain=one.gain,
+            w_values=w_values(group.detector), sigma=one.sigma, threshold=one.threshold, noise=one.noise, seed=seed,
+            gains=gain_table(group.detector),
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
 
-class GaussianDigitizer(Digitizer):
-    """Measures one X and one V position of each crossing with given errors; steps move nothing."""
+class PositionDigitizer(Digitizer):
+    """Measures one X and one V position of each crossing, as exactly as the readout says; steps move nothing."""
 
-    readout: GaussianReadout
+    readout: PositionReadout
 
-    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the positions, see `Digitizer.digitize`."""
-        one = np.ones(len(detector.layers))
-        errors = {"sigma_x": self.readout.sigma_x * one, "sigma_v": self.readout.sigma_v * one}
+        rows = np.array([self.readout.precision(layer) for layer in group.layers], np.float64)
+        columns = group.among_all(rows.reshape(-1, len(Precision._fields))).T
         digis = _core.smear_positions(
-            compiled(detector), dict(truths.columns), gain=self.readout.gain, w_values=w_values(detector),
-            errors=errors | {"efficiency": one, "sigma_time": 0.0 * one}, seed=seed, first_place=0,
+            compiled(group.detector), dict(truths.columns), gain=self.readout.gain, w_values=w_values(group.detector),
+            errors=dict(zip(Precision._fields, columns.copy(), strict=True)), seed=seed,
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
-
-
-def measured_positions(detector: Detector, truths: Table, seed: int) -> Table:
-    """Return the positions that measurement layers measure; a layer without an error measures middles of strips.
-
-    Parameters
-    ----------
-    detector : Detector
-    truths : Table
-        Crossings of measurement layers.
-    seed : int
-    """
-    found = np.zeros((4, len(detector.layers)))
-    for number, layer in enumerate(detector.layers):
-        if isinstance(layer, MeasurementLayer):
-            found[:, number] = layer.sigma_x, layer.sigma_v, layer.efficiency, layer.sigma_time
-    digis = _core.smear_positions(
-        compiled(detector), dict(truths.columns), gain=0.0, w_values=w_values(detector), seed=seed,
-        first_place=len(detector.cgem),  # a Gaussian readout sees CGEM layers alone, numbered from 0
-        errors=dict(zip(("sigma_x", "sigma_v", "efficiency", "sigma_time"), found.copy(), strict=True)),
-    )  # fmt: skip
-    return Table("digis", digis, **truths.cover)
 
 
 class AnalogDigitizer(Digitizer):
@@ -135,33 +115,34 @@ class AnalogDigitizer(Digitizer):
         """True: electrons start where the particle ionized."""
         return True
 
-    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the strips above threshold with charge and time, see `Digitizer.digitize`."""
         digis = _core.read_out_analog(
-            compiled(detector), dict(truths.columns), dict(steps.columns), **self.core_arguments(detector), seed=seed,
-            gains=gain_table(detector),
+            compiled(group.detector), dict(truths.columns), dict(steps.columns), **self.core_arguments(group),
+            seed=seed, gains=gain_table(group.detector),
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
-    def core_arguments(self, detector: Detector) -> dict[str, Any]:
+    def core_arguments(self, group: ReadoutGroup) -> dict[str, Any]:
         """Return the arguments of the compiled digitization by name, except tables, seed and gains.
 
         Parameters
         ----------
-        detector : Detector
+        group : ReadoutGroup
 
         Raises
         ------
         ValueError
             If a layer's gas or field has no table of electron transport.
         """
-        one = self.readout
-        layers = {
-            "hole_pitch": np.array([layer.hole_pitch if one.holes else 0.0 for layer in detector.cgem]),
-            "w_value": w_values(detector),
-        }
+        one, detector, numbers = self.readout, group.detector, group.numbers
+        holes = np.array([layer.hole_pitch if one.holes else 0.0 for layer in group.cgem])
+        drift = drift_columns(detector, numbers) | {"hole_pitch": holes}
+        induced, reach = induced_charges(detector, one.diffusion, one.lorentz, numbers)
         return {
-            "drift": drift_columns(detector) | layers,
+            # The core checks all layers. Others have numbers that it accepts, and induce nothing.
+            "drift": {name: group.among_all(column, fill=1.0) for name, column in drift.items()}
+            | {"w_value": w_values(detector)},
             "physics": {
                 "survival": one.survival,
                 "gain": one.gain,
@@ -173,5 +154,5 @@ class AnalogDigitizer(Digitizer):
             "chip": chip_arguments(one),
             "share_spread": one.share_spread,
             "way": WAY,
-            "induced": induced_charges(detector, one.diffusion, one.lorentz),
+            "induced": (group.among_all(induced, 2, fill=0.0), reach),
         }

@@ -311,7 +311,7 @@ _DIGIS = (
     _SHEET,
     column_of("i1", "view", "", _X_V),
     whole("strip", "strip of the view and sheet; -1 if a position is measured without strips"),
-    whole("gid", "strip number in the whole CGEM; -1 without strips"),
+    whole("gid", "strip number in the whole detector; -1 without strips"),
     real("position", "mm", "X or V measured without strips; NaN with strips"),
     real("charge", "fC", "collected charge"),
     real("time", "ns", "arrival time"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, KeysView, Mapping
+from collections.abc import Callable, Collection, KeysView, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -435,6 +435,37 @@ def kind_problems(**tables: object) -> list[str]:
         for name, table in tables.items()
         if not isinstance(table, Table) or table.kind != name
     ]
+
+
+def merged(parts: Sequence[Table]) -> Table:
+    """Return the rows of tables of the same events by event and layer, those of one layer in their order.
+
+    Links among rows of a part follow. A column that a part does not have is 0 there.
+
+    Parameters
+    ----------
+    parts : sequence of Table
+        Of one kind; no layer is in two of them.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    models = {name: column for part in reversed(parts) for name, column in part.columns.items()}
+
+    def values(part: Table, name: str) -> Array:
+        return part[name] if name in part else np.zeros(len(part), models[name].dtype)
+
+    columns = {name: np.concatenate([values(part, name) for part in parts]) for name in models}
+    order = np.lexsort((columns["layer"], columns["event"]))
+    row = np.empty(len(order) + 1, np.int64)  # of each row in the result; the last is that of a link to none
+    row[order], row[-1] = np.arange(len(order)), -1
+    begins = np.repeat(np.cumsum([0, *map(len, parts[:-1])]), [len(part) for part in parts])
+    for column in SCHEMAS[first.kind]:
+        if column.links == first.kind and column.name in columns:
+            link = columns[column.name]
+            columns[column.name] = row[np.where(link < 0, -1, link + begins)].astype(link.dtype)
+    meta = {name: value for part in reversed(parts) for name, value in part.meta.items()}
+    return Table(first.kind, {name: one[order] for name, one in columns.items()}, meta=meta, **first.cover)
 
 
 def made_by(maker: str, kind: str, table: object, source: Table) -> Table:

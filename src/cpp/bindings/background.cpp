@@ -50,12 +50,14 @@ py::dict noisy_cells(const Detector& detector, const Array<std::int64_t>& events
 }
 
 py::dict noisy_strips(const Detector& detector, const Array<std::int64_t>& events,
-                      const Array<double>& clusters, int most_strips, std::array<double, 2> single,
-                      std::array<double, 2> charge, double window, const Array<std::int32_t>& hot,
-                      const Array<double>& hot_fires, std::uint64_t seed) {
+                      const Array<double>& clusters, std::size_t innermost, int most_strips,
+                      std::array<double, 2> single, std::array<double, 2> charge, double window,
+                      const Array<std::int32_t>& hot, const Array<double>& hot_fires, std::uint64_t seed) {
   const auto event = column(events, "events");
+  if (innermost >= detector.layers.size()) throw std::invalid_argument("innermost: expected a layer");
   const StripNoise noise{
       .clusters = column(clusters, "clusters", static_cast<py::ssize_t>(detector.layers.size())),
+      .innermost = innermost,
       .most_strips = most_strips,
       .single = single,
       .charge = charge,
@@ -99,8 +101,8 @@ void bind_background(py::module_& module) {
              py::arg("begins"), py::arg("lengths"), py::arg("window"), py::arg("hot"), py::arg("hot_fires"),
              py::arg("seed"), "Columns of wire hits that fire without a particle of the event.");
   module.def("background_strips", &noisy_strips, py::arg("detector"), py::arg("events"), py::kw_only(),
-             py::arg("clusters"), py::arg("most_strips"), py::arg("single"), py::arg("charge"),
-             py::arg("window"), py::arg("hot"), py::arg("hot_fires"), py::arg("seed"),
+             py::arg("clusters"), py::arg("innermost"), py::arg("most_strips"), py::arg("single"),
+             py::arg("charge"), py::arg("window"), py::arg("hot"), py::arg("hot_fires"), py::arg("seed"),
              "Columns of digis that fire without a particle of the event.");
   module.def("by_channel", &channel_order, py::arg("event"), py::arg("gid"), py::arg("time"),
              "Rows in the order of event, channel and time, and where in it each channel begins.");

@@ -16,7 +16,7 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// One number per CGEM layer.
+// One number for each layer.
 std::span<const double> per_layer(const Array<double>& w_values, const Detector& detector) {
   return column(w_values, "w_values", static_cast<py::ssize_t>(detector.layers.size()));
 }
@@ -49,15 +49,12 @@ std::vector<PositionErrors> position_errors(const py::dict& table, const Detecto
 }
 
 py::dict smeared(const Detector& detector, const py::dict& table, double gain, const Array<double>& w_values,
-                 const py::dict& errors, std::uint64_t seed, std::uint32_t first_place) {
+                 const py::dict& errors, std::uint64_t seed) {
   Inputs in(table, "event");
   const TruthColumns truths = truth_columns(in);
   const std::vector<PositionErrors> of_layers = position_errors(errors, detector);
-  const GaussianReadout readout{.errors = of_layers,
-                                .gain = gain,
-                                .w_values = per_layer(w_values, detector),
-                                .seed = seed,
-                                .first_place = first_place};
+  const GaussianReadout readout{
+      .errors = of_layers, .gain = gain, .w_values = per_layer(w_values, detector), .seed = seed};
   Columns<DigiRow> digis;
   {
     py::gil_scoped_release release;
@@ -117,7 +114,7 @@ void bind_digitize(py::module_& module) {
              py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: binary readout.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
-             py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"), py::arg("first_place"),
+             py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"),
              "Columns of digis from columns of truths: readout without strips.");
   module.def("read_out_profiles", &profiles, py::arg("detector"), py::arg("truths"), py::arg("steps"),
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("sigma"), py::arg("threshold"),

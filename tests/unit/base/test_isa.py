@@ -236,10 +236,11 @@ def test_analog_strips_agree_with_scalar(readout: str, name: str) -> None:
     isa.use("scalar")
     design = load("besiii-cgem-design")
     made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, readout=readout, until="digitize", workers=1)
-    digitizer = digitizer_of(made.settings.digitize.readout)
+    (group,) = design.groups(made.settings.digitize.readout)
+    digitizer = digitizer_of(group.readout)
 
     def strips() -> dict[str, np.ndarray]:
-        return dict(digitizer.digitize(design, made.truths, made.steps, 5).columns)
+        return dict(digitizer.digitize(group, made.truths, made.steps, 5).columns)
 
     one = strips()
     isa.use(name)

@@ -79,8 +79,9 @@ def test_budget_adds_up() -> None:
 def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Derivatives, for which hits are kept, are those with the errors of the angle for all tracks."""
     clusterer = clusterer_of("gaussian")
-    given = dict(zip("xv", clusterer.expected_errors(cg.load(TRACK[0])), strict=True))
-    given["xv"] = clusterer.expected_correlations(cg.load(TRACK[0]))
+    (group,) = cg.load(TRACK[0]).groups(clusterer.readout)
+    given = dict(zip("xv", clusterer.expected_errors(group), strict=True))
+    given["xv"] = clusterer.expected_correlations(group)
 
     def derivatives() -> Floats:
         found = cg.sensitivity(*TRACK, 0.5, readout="gaussian", keys=["cgem.L1.anode_radius"], quantities=["dr", "dz"])
@@ -140,5 +141,6 @@ def test_clusters_of_a_chip_have_its_correlation(second_pass: bool) -> None:
     np.testing.assert_allclose(clusters["corr_xv"][~used], alone[clusters["layer"][~used]], atol=1e-5)
     expected = tracked if second_pass else alone
     np.testing.assert_allclose(clusters["corr_xv"][used], expected[clusters["layer"][used]], atol=1e-5)
-    np.testing.assert_array_equal(clusterer_of(readout).expected_correlations(DESIGN), by_angle[int(second_pass)])
+    (group,) = DESIGN.groups(readout)
+    np.testing.assert_array_equal(clusterer_of(readout).expected_correlations(group), by_angle[int(second_pass)])
     assert (expected > 0.02).all()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers, analytic, load, register_readout, run
-from cgemit.detector import Detector
+from cgemit.detector import ReadoutGroup
 from cgemit.detector.parts import local_v, strips_of_v
 from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, ChipErrors, Readout, TigerReadout
 from cgemit.reconstruction.cluster import CLUSTERERS, cluster, clusterer_of
@@ -50,10 +50,10 @@ class OneStrip(Readout):
 class OneStripDigitizer(Digitizer):
     """Fires the strip under the middle of the crossing."""
 
-    def digitize(self, detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return two digis for each crossing of a sheet."""
         found = []
-        for number, layer in enumerate(detector.cgem):
+        for number, layer in zip(group.numbers, group.cgem, strict=True):
             for sheet, start in enumerate(layer.sheet_phi):
                 x = layer.r_readout * ((truths["phi"] - start) % (2 * np.pi))
                 v = local_v(layer, x, truths["z"])
@@ -80,17 +80,17 @@ class OneStripClusterer(BinaryClusterer):
     readout: OneStrip  # type: ignore[assignment]
 
     def cluster(
-        self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
+        self, group: ReadoutGroup, digis: Table, settings: ClusterSettings, directions: Floats | None = None
     ) -> Table:
         """Return clusters with errors of their own."""
-        clusters = super().cluster(detector, digis, settings)
-        errors = self.expected_errors(detector)[0][clusters["layer"]]
+        clusters = super().cluster(group, digis, settings)
+        errors = group.among_all(self.expected_errors(group)[0])[clusters["layer"]]
         own = {name: np.where(np.isnan(clusters[name]), np.nan, errors) for name in ("err_x", "err_v")}
         return clusters.with_columns(**own, method=np.ones(len(clusters), "i1"))
 
-    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+    def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return the error of a strip."""
-        error = self.readout.scale * np.array([layer.pitch_x for layer in detector.cgem]) / np.sqrt(12)
+        error = self.readout.scale * np.array([layer.pitch_x for layer in group.cgem]) / np.sqrt(12)
         return error, error
 
 
@@ -143,6 +143,19 @@ def test_the_covariance_expects_its_errors() -> None:
     """Without events, the error of d_z grows with the scale, too."""
     good, bad = (float(analytic(DESIGN, readout=OneStrip(scale=scale)).sigma("dz")) for scale in (1.0, 100.0))
     assert good < 1 < 2 < bad
+
+
+def test_it_serves_cgem_layers_beside_a_sensor() -> None:
+    """Numbers of layers are those of the detector: X is uniform within a strip behind a layer of pixels, too."""
+    result = run("besiii-pixel", Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 60, seed=3, readout="one-strip")
+    assert not result.tracks["status"].any()
+    x = result.clusters[(result.clusters["view"] == 0) & (result.clusters["layer"] > 0)]
+    assert set(x["layer"]) == {1, 2, 3}
+    assert set(x["size"]) == {1}
+    assert np.array_equal(result.truths["layer"][x["truth"]], x["layer"])
+    radius = np.array([layer.r_readout for layer in result.detector.layers])[x["layer"]]
+    residual = radius * np.angle(np.exp(1j * (x["phi"] - result.truths["phi"][x["truth"]])))
+    assert np.abs(residual).max() <= 0.325 + 1e-9
 
 
 def test_what_it_makes_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit import FitSettings, Gun, Settings, _core, run
+from cgemit import FitSettings, Gun, Settings, TigerReadout, _core, run
 from cgemit.detector import load
 from cgemit.detector.core import layer_table
 from cgemit.detector.gas import mean_shift
@@ -406,3 +406,25 @@ def test_the_reference_sample_ends_with_the_layer():
         width, _ = reference_widths({name: column[number] for name, column in rows.items()}, 1.0, straight)
         counts.append(len(width) / (layer.half_length / np.hypot(layer.half_length, layer.r_mid)))
     assert counts == pytest.approx([counts[0]] * len(counts), rel=2e-3)
+
+
+def test_directions_belong_to_the_clusters_of_all_layers():
+    """Each layer of a mixed detector takes those of its own clusters; without `clusters` they are made first."""
+    detector, readout = load("besiii-pixel"), TigerReadout()
+    digis = run(detector, Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 10, seed=3, readout=readout).digis
+    clusters = cluster(detector, digis, readout=readout)
+    directions = np.full((len(clusters), 2), np.nan)
+    # One cluster of a CGEM layer behind the sensor has a track that it did not expect.
+    (row,) = np.flatnonzero((clusters["layer"] == 2) & (clusters["view"] == 0))[3:4]
+    directions[row] = 0.4, 1.1
+    again = cluster(detector, digis, readout=readout, directions=directions, clusters=clusters)
+    assert again["x"][row] != clusters["x"][row]
+    moved = np.flatnonzero(~np.isclose(again["x"], clusters["x"], equal_nan=True))
+    assert set(moved) <= {row, *np.flatnonzero(clusters["x_cluster"] == row)}
+    assert cluster(detector, digis, readout=readout, directions=directions) == again
+    for view, link in ((0, "x_cluster"), (1, "v_cluster")):
+        points = clusters[clusters["view"] == 2]
+        linked = clusters[points[link]]
+        assert (linked["view"] == view).all()
+        for name in ("event", "layer", "sheet"):
+            assert np.array_equal(linked[name], points[name])

@@ -11,7 +11,7 @@ from cgemit.base.errors import DetectorError
 from cgemit.base.files import parse_toml
 from cgemit.cli import options
 from cgemit.detector import compiled
-from cgemit.detector.core import in_dead_area, seam_strips, strip_lists
+from cgemit.detector.core import in_dead_area, layer_table, seam_strips, strip_lists
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME
 from cgemit.simulation.background import CELLS, STRIPS, add_background, channel_kinds, mix_events, read_out, start_times
 from cgemit.tables import Table
@@ -215,7 +215,14 @@ def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
     """Clusters that are alone in a layer's view: from 1 to 6 strips, each as often; a wrong size fails the gate."""
     layers = run.detector.cgem
     n, mean, none = 20_000, 0.05, np.empty(0, np.int32)
-    how = {"single": [0.0, 0.0], "charge": [10.0, 50.0], "window": 1000.0, "hot": none, "hot_fires": np.empty(0)}
+    how = {
+        "innermost": 0,
+        "single": [0.0, 0.0],
+        "charge": [10.0, 50.0],
+        "window": 1000.0,
+        "hot": none,
+        "hot_fires": np.empty(0),
+    }
     strips = _core.background_strips(
         compiled(run.detector), np.arange(n), clusters=[0.0, mean, 0.0], most_strips=6, seed=2, **how
     )
@@ -234,6 +241,10 @@ def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
     assert gate(sizes) < 5 + 4 * np.sqrt(10) + 6
     assert gate(np.append(sizes[:5] + sizes[5] / 5, 0)) > 5 + 4 * np.sqrt(10) + 6
     assert abs(strips["charge"].mean() - 30) < 4 * 40 / np.sqrt(12 * len(strips["charge"]))
+    with pytest.raises(ValueError, match="innermost: expected a layer"):
+        _core.background_strips(
+            compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how | {"innermost": 3}
+        )
     how |= {"hot": np.array([-1], np.int32), "hot_fires": np.ones(1)}
     with pytest.raises(ValueError, match="hot: channel -1"):
         _core.background_strips(compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how)
@@ -668,3 +679,35 @@ def test_the_analytic_covariance_has_no_clusters_in_dead_areas():
     edge = np.sin(np.arctan((L1.half_length - 50.0) / L1.r_mid))
     counts = [cg.analytic(one, "mu-", p=1.0, cos_theta=edge).n_clusters for one in (CGEM, spoiled)]
     assert counts[0] - counts[1] == pytest.approx(2.0, abs=0.03)
+
+
+def test_strips_behind_a_sensor_fire_and_positions_stay():
+    """Noise is that of the innermost layer with strips; dead and hot channels are strips of CGEM layers alone."""
+    noisy = {"cluster_rate": "0 kHz/cm2", "noise_v": "500 kHz", "strip_window": "1 us", "dead_strips": 0.2}
+    noisy |= {"hot_strips": 0.02, "hot_strip_rate": "1000 kHz"}
+    background = {"noisy": noisy}
+    pixel = cg.load({"base": "besiii-pixel", "name": "noisy", "background": background})
+    made = cg.run(pixel, cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5)), 200, seed=3, until="digitize")
+    digis = add_background(pixel, made.digis, made.wire_hits, cg.BackgroundSettings(level="noisy"), seed=1)["digis"]
+    of_sensor = digis["layer"] == 0
+    for name, column in made.digis[made.digis["layer"] == 0].columns.items():
+        np.testing.assert_array_equal(digis[of_sensor][name], column, err_msg=name)
+    assert of_sensor.sum() > 300
+    assert np.array_equal(np.lexsort((digis["layer"], digis["event"])), np.arange(len(digis)))
+    strips = digis[~of_sensor]
+    fired = digis["gid"][digis["truth"] < 0]
+    first = layer_table(pixel.layers)["gid_first"]
+    assert fired.min() >= first[1]  # behind the two channels of the sensor
+    # Noise of V strips of L1: alive ones, each with the probability of the closed form.
+    l1 = pixel.cgem["L1"]
+    gids = first[1] + l1.strips_x + np.arange(l1.strips_v)
+    kinds = channel_kinds(gids, STRIPS)
+    quiet = gids[(kinds >= 0.2) & (kinds < 0.98)]
+    counts = np.count_nonzero(np.isin(fired, quiet))
+    expected = 200 * len(quiet) * (1 - np.exp(-0.5))
+    assert abs(counts - expected) < 4 * np.sqrt(expected)
+    # Elsewhere only hot strips fire on their own, and no dead one.
+    others = strips["gid"][(strips["truth"] < 0) & ((strips["layer"] > 1) | (strips["view"] == 0))]
+    assert len(others) > 100
+    assert (channel_kinds(others, STRIPS) >= 0.98).all()
+    assert (channel_kinds(strips["gid"], STRIPS) >= 0.2).all()

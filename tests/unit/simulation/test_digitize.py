@@ -9,6 +9,7 @@ import gem_toy
 from cgemit import _core
 from cgemit.chain.run import run
 from cgemit.detector import compiled, gas, load
+from cgemit.detector.core import layer_table
 from cgemit.detector.drift import XT_DISTANCE, XT_TIME
 from cgemit.detector.readouts import BinaryReadout, GaussianReadout
 from cgemit.particles.gun import Gun
@@ -756,3 +757,38 @@ def test_steps_that_do_not_belong_are_refused():
     both = {name: np.concatenate([radial(1.0)[name]] * 2) for name in radial(1.0)}
     with pytest.raises(ValueError, match=r"steps row 1: truth 0, expected 1 to 1"):
         read_out_deltas(both, one | {"truth": np.array([1, 0])})
+
+
+@pytest.mark.parametrize("readout", ["binary", "tiger", "gaussian"])
+def test_layers_beside_a_sensor_are_read_out_as_alone(readout):
+    """Layers draw by their numbers: those of a CGEM within a sensor, and those of pixels within a CGEM, stay the same.
+
+    Rows keep numbers, strips and links of the whole detector; positions have no strip.
+    """
+    how = DigitizeSettings(readout=readout)
+    sensor = {"radius": "182 mm", "length": "700 mm", "sigma": "50 um", "thickness": "0.3 mm", "material": "Si"}
+    wrapped = load({"base": "besiii-cgem-design", "name": "wrapped", "layer": {"W": sensor}})
+    names = [layer.label for layer in load("besiii-pixel").cgem]
+    pixels = load({"base": "besiii-pixel", "name": "pixels", "remove": [f"cgem.{name}" for name in names]})
+    gun = Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
+    for detector, alone, last in ((wrapped, load("besiii-cgem-design"), 2), (load("besiii-pixel"), pixels, 0)):
+        made = run(detector, gun, 15, seed=3, readout=readout, until="digitize")
+        truths, steps = made.truths, made.steps
+        digis = digitize(detector, truths, made.wire_truths, how, 5, steps=steps)["digis"]
+        place = np.cumsum(truths["layer"] <= last) - 1
+        own = steps[steps["layer"] <= last]
+        expected = digitize(
+            alone, truths[truths["layer"] <= last], made.wire_truths, how, 5,
+            steps=own.with_columns(truth=place[own["truth"]]),
+        )["digis"]  # fmt: skip
+        found = digis[digis["layer"] <= last]
+        for name, column in expected.columns.items():
+            now = place[found["truth"]] if name == "truth" else found[name]
+            np.testing.assert_array_equal(now, column, err_msg=name)
+        assert len(found) > 20
+        assert np.array_equal(truths["layer"][digis["truth"]], digis["layer"])
+        assert np.array_equal(digis["gid"] < 0, digis["strip"] < 0)
+        first = layer_table(detector.layers)["gid_first"][digis["layer"]]
+        assert (digis["gid"] >= first)[digis["strip"] >= 0].all()
+        order = np.lexsort((digis["layer"], digis["event"]))
+        assert np.array_equal(order, np.arange(len(order)))

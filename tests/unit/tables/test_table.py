@@ -5,6 +5,7 @@ import json
 import pickle
 import re
 from dataclasses import replace
+from typing import Any
 
 import awkward as ak
 import numpy as np
@@ -18,7 +19,7 @@ from cgemit.tables import ROWS, SCHEMAS, Table, concatenate, load_tables, save_t
 from cgemit.tables.formats import describe
 from cgemit.tables.store import JoinedTables, about_of, column_of
 from cgemit.tables.store import _join as joining
-from cgemit.tables.table import linked, targets
+from cgemit.tables.table import linked, merged, targets
 
 
 def make(kind, events, n_events, first_event=0, **columns):
@@ -591,3 +592,27 @@ def test_columns_are_a_mapping(result):
     pd.testing.assert_frame_equal(frame, result.clusters.to_pandas())
     assert dict(result.tracks.columns).keys() == result.tracks.keys()
     assert dict(result.clusters).keys() == result.clusters.keys()
+
+
+def test_rows_of_parts_are_merged_by_event_and_layer() -> None:
+    """Links among the rows of a part follow them, those to other tables stay; what a part lacks is 0 there."""
+
+    def part(event: list[int], layer: list[int], truth: list[int], x_cluster: list[int], **more: Any) -> Table:
+        n = len(event)
+        columns = {name: np.zeros(n, one.dtype) for name, one in Table.empty("clusters", 1).columns.items()}
+        given = {"event": event, "layer": layer, "truth": truth, "x_cluster": x_cluster, "v_cluster": [-1] * n}
+        columns |= {name: np.array(values, columns[name].dtype) for name, values in given.items()}
+        return Table("clusters", columns | more, 3, meta={"seed": 1})
+
+    inner = part([0, 0, 2], [0, 2, 0], [5, 6, 7], [-1, 0, 2], corr_xv=np.array([0.1, 0.2, 0.3]))
+    outer = part([0, 2, 2], [1, 1, 3], [1, 2, 3], [0, -1, 1])
+    found = merged([inner, outer])
+    assert found["event"].tolist() == [0, 0, 0, 2, 2, 2]
+    assert found["layer"].tolist() == [0, 1, 2, 0, 1, 3]
+    assert found["truth"].tolist() == [5, 1, 6, 7, 2, 3]
+    assert found["x_cluster"].tolist() == [-1, 1, 0, 3, -1, 4]
+    assert found["v_cluster"].tolist() == [-1] * 6
+    assert found["corr_xv"].tolist() == [0.1, 0.0, 0.2, 0.3, 0.0, 0.0]
+    assert (found.n_events, found.meta, found["x_cluster"].dtype) == (3, {"seed": 1}, inner["x_cluster"].dtype)
+    assert merged([outer, inner]) == found
+    assert merged([inner]) is inner

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled
+from cgemit.detector import Detector, ReadoutGroup, compiled
 from cgemit.detector.core import layer_table, strip_lists
+from cgemit.detector.parts import cgem_layers
 from cgemit.detector.readouts import BinaryReadout
 from cgemit.helix import path_to
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
@@ -27,7 +28,7 @@ class BinaryClusterer(Clusterer):
     readout: BinaryReadout
 
     def cluster(
-        self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
+        self, group: ReadoutGroup, digis: Table, settings: ClusterSettings, directions: Floats | None = None
     ) -> Table:
         """Return the clusters, see `Clusterer.cluster`.
 
@@ -36,34 +37,38 @@ class BinaryClusterer(Clusterer):
         ValueError
             If a strip is not in the detector.
         """
-        err_x, err_v = cluster_errors(detector, settings)
+        err_x, err_v = map(group.among_all, cluster_errors(group.detector, settings, group.numbers))
         found = _core.find_clusters(
-            compiled(detector), dict(digis.columns), err_x=err_x, err_v=err_v, by_charge=settings.position == "charge",
-            masked=strip_lists(detector).masked, bridge=settings.bridge,
+            compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v,
+            by_charge=settings.position == "charge", masked=strip_lists(group.detector).masked, bridge=settings.bridge,
         )  # fmt: skip
         return Table("clusters", found, **digis.cover)
 
-    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+    def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return zeros: errors follow from the number of strips, see `Clusterer.expected_errors`."""
-        none = np.zeros(len(detector.cgem))
+        none = np.zeros(len(group.layers))
         return none, none
 
 
 @functools.lru_cache(maxsize=32)
-def cluster_errors(detector: Detector, settings: ClusterSettings) -> tuple[Floats, Floats]:
+def cluster_errors(
+    detector: Detector, settings: ClusterSettings, cgem: tuple[int, ...] | None = None
+) -> tuple[Floats, Floats]:
     """Return the position errors of clusters by layer and number of strips.
 
     Parameters
     ----------
     detector : Detector
     settings : ClusterSettings
+    cgem : tuple of int or None
+        See `cgem_layers`.
 
     Returns
     -------
     err_x, err_v : ndarray, (layers, MAX_SIZE) float64, mm
         Column n - 1 holds for n strips, the last one for all larger clusters, too.
     """
-    return error_table(layer_table(detector.cgem), detector.field.bz, settings)
+    return error_table(layer_table(cgem_layers(detector, cgem)), detector.field.bz, settings)
 
 
 def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
-from cgemit.detector import Detector
+from cgemit.detector import ReadoutGroup
 from cgemit.detector.readouts import Readout
 from cgemit.tables import Table
 
@@ -72,17 +72,17 @@ class Clusterer(ABC):
         """Whether clusters on fitted tracks are made again with the directions of the tracks."""
         return False
 
-    def check(self, detector: Detector) -> None:  # noqa: B027, most have nothing to check
-        """Raise an error if clusters of a detector cannot be made, before anything is simulated or read.
+    def check(self, group: ReadoutGroup) -> None:  # noqa: B027, most have nothing to check
+        """Raise an error if clusters of the layers cannot be made, before anything is simulated or read.
 
         Parameters
         ----------
-        detector : Detector
+        group : ReadoutGroup
         """
 
     @abstractmethod
     def cluster(
-        self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
+        self, group: ReadoutGroup, digis: Table, settings: ClusterSettings, directions: Floats | None = None
     ) -> Table:
         """Return the table ``clusters``: the measured positions with their errors.
 
@@ -91,9 +91,10 @@ class Clusterer(ABC):
 
         Parameters
         ----------
-        detector : Detector
+        group : ReadoutGroup
+            Layers with this readout. Layers and strips (gid) have the numbers of the whole detector in all tables.
         digis : Table
-            Its columns `truth` and `n_truths` may only be passed on.
+            Of its layers. The columns `truth` and `n_truths` may only be passed on.
         settings : ClusterSettings
         directions : (clusters, 2) float64 or None
             Of the track, by row of the clusters without directions: dX/dr of X clusters and dV/dr of V clusters at the
@@ -101,12 +102,12 @@ class Clusterer(ABC):
         """
 
     @abstractmethod
-    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
+    def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return the errors of X and V that `cgemit.covariance` expects.
 
         Parameters
         ----------
-        detector : Detector
+        group : ReadoutGroup
 
         Returns
         -------
@@ -115,11 +116,11 @@ class Clusterer(ABC):
             so that the error follows from their number.
         """
 
-    def expected_correlations(self, detector: Detector) -> Floats:
+    def expected_correlations(self, group: ReadoutGroup) -> Floats:
         """Return the correlation of the errors of X and V of one crossing, in the shape of `expected_errors`.
 
         Parameters
         ----------
-        detector : Detector
+        group : ReadoutGroup
         """
-        return np.zeros(len(detector.cgem))
+        return np.zeros(len(group.layers))

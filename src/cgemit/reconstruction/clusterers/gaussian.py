@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled
-from cgemit.detector.readouts import GaussianReadout
+from cgemit.detector import ReadoutGroup, compiled
+from cgemit.detector.readouts import PositionReadout
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
 from cgemit.tables import Table
 
 
-class GaussianClusterer(Clusterer):
-    """Makes a cluster of every position, with the error that it was smeared with."""
+class PositionClusterer(Clusterer):
+    """Makes a cluster of every position, with the error that it was measured with."""
 
-    readout: GaussianReadout
+    readout: PositionReadout
 
     def cluster(
-        self, detector: Detector, digis: Table, settings: ClusterSettings, directions: Floats | None = None
+        self, group: ReadoutGroup, digis: Table, settings: ClusterSettings, directions: Floats | None = None
     ) -> Table:
         """Return the clusters, see `Clusterer.cluster`; none of the settings applies.
 
@@ -26,28 +26,17 @@ class GaussianClusterer(Clusterer):
         ValueError
             If a sheet has not as many X as V positions: the n-th of both belong together.
         """
-        errors = np.ones((len(detector.layers), 2)) * (self.readout.sigma_x, self.readout.sigma_v)
-        return clusters_of_positions(detector, digis, errors)
+        err_x, err_v = (group.among_all(column) for column in self._errors(group))
+        found = _core.clusters_of_positions(compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v)
+        return Table("clusters", found, **digis.cover)
 
-    def expected_errors(self, detector: Detector) -> tuple[Floats, Floats]:
-        """Return the given errors, the same for all layers, see `Clusterer.expected_errors`."""
-        layers = len(detector.layers)
-        return np.full(layers, self.readout.sigma_x), np.full(layers, self.readout.sigma_v)
+    def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
+        """Return the errors of the readout, see `Clusterer.expected_errors`."""
+        # Where a coordinate is not measured, its error is not asked for; 0 would stand for that of a number of strips.
+        x, v = (np.where(column > 0, column, 1.0) for column in self._errors(group))
+        return x, v
 
-
-def clusters_of_positions(detector: Detector, digis: Table, errors: Floats) -> Table:
-    """Return a cluster for each position.
-
-    Parameters
-    ----------
-    detector : Detector
-    digis : Table
-    errors : ndarray, (layers, 2) float64, mm
-        Of X and V.
-    """
-    x, v = np.ascontiguousarray(errors.T)
-    return Table(
-        "clusters",
-        _core.clusters_of_positions(compiled(detector), dict(digis.columns), err_x=x, err_v=v),
-        **digis.cover,
-    )
+    def _errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
+        """Return the errors of X and V, (layers,), mm; 0 where a layer does not measure."""
+        x, v = np.array([self.readout.errors(layer) for layer in group.layers], np.float64).reshape(-1, 2).T.copy()
+        return x, v

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from cgemit.analysis.widths import measure
 from cgemit.base.validate import check_numbers
 from cgemit.chain.run import run
-from cgemit.detector import Detector, load
+from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.gas import MAX_B, drift_columns
 from cgemit.detector.parts import local_v
 from cgemit.detector.readouts import AnalogReadout, ChargeReadout, ChipErrors, Estimator
@@ -280,15 +280,15 @@ def terms(
     heights : ChipErrors or None
         Whose heights the residuals have; None: those without corrections.
     """
-    clusterer = charge_clusterer(readout)
-    inputs = error_inputs(detector, readout)
+    clusterer, inputs = charge_clusterer(readout), error_inputs(detector, readout)
+    (group,) = detector.groups(readout)
     none = {one.name: 0.0 for one in fields(ChipErrors)}
     if heights is not None:
         none[_HEIGHT] = heights.height_by_threshold
 
     def measured(changed: dict[str, float], directions: Floats | None) -> tuple[Table, Measurements]:
         chip = inputs.chip | none | changed
-        table = _clusters(clusterer, detector, digis, inputs._replace(chip=chip), directions)
+        table = _clusters(clusterer, group, digis, inputs._replace(chip=chip), directions)
         return table, measurements(detector, table, truths, lorentz=clusterer.lorentz)
 
     directions = true_directions(detector, measured({}, None)[0], truths) if of_track else None
@@ -420,9 +420,9 @@ def fit_errors(
 
 
 def _clusters(
-    clusterer: ChargeClusterer, detector: Detector, digis: Table, inputs: ErrorInputs, directions: Floats | None = None
+    clusterer: ChargeClusterer, group: ReadoutGroup, digis: Table, inputs: ErrorInputs, directions: Floats | None = None
 ) -> Table:
-    return Table("clusters", clusterer.columns(detector, digis, inputs, 0, directions), **digis.cover)
+    return Table("clusters", clusterer.columns(group, digis, inputs, 0, directions), **digis.cover)
 
 
 class PullBin(NamedTuple):
@@ -469,6 +469,7 @@ def pulls(
         at = design(readout, 2 * number + 1)
         one = with_estimator(at.readout, estimator or readout.estimator)
         clusterer, inputs = charge_clusterer(one), error_inputs(at.detector, one)
+        (group,) = at.detector.groups(one)
         if errors is not None:
             inputs = inputs._replace(chip=inputs.chip | asdict(errors))
         for displaced in (0.0, _DISPLACED) if of_track else (0.0,):
@@ -476,10 +477,10 @@ def pulls(
             result = run(
                 at.detector, particles, seed=1000 + seed + number, readout=one, until="digitize", workers=threads
             )
-            clusters = _clusters(clusterer, at.detector, result.digis, inputs)
+            clusters = _clusters(clusterer, group, result.digis, inputs)
             if of_track:
                 directions = true_directions(at.detector, clusters, result.truths)
-                clusters = _clusters(clusterer, at.detector, result.digis, inputs, directions)
+                clusters = _clusters(clusterer, group, result.digis, inputs, directions)
             found = measurements(at.detector, clusters, result.truths, lorentz=clusterer.lorentz)
             rank = np.argsort(np.argsort(found.charge)) / len(found.charge)
             pull = found.residual / found.error

@@ -159,7 +159,7 @@ NoisyStrips background_strips(const Detector& detector, std::span<const std::int
     const Stream stream = stream_of(noise.seed, event);
     fired.clear();
     for (std::size_t i = 0; i < detector.layers.size(); ++i) add_clusters(detector, i, stream, noise, fired);
-    if (!detector.layers.empty()) add_single(detector.layers.front(), stream, noise, fired);
+    add_single(detector.layers[noise.innermost], stream, noise, fired);
     for (std::size_t i = 0; i < noise.hot.gid.size(); ++i) {
       const auto place = static_cast<std::uint32_t>(noise.hot.gid[i]);
       const Block words = stream.block(Purpose::background_strip, place);

@@ -36,9 +36,10 @@ NoisyCells background_cells(const Detector& detector, std::span<const std::int64
                             const CellNoise& noise);
 
 struct StripNoise {
-  std::span<const double> clusters;  // for each CGEM layer: mean number in the window
+  std::span<const double> clusters;  // for each layer: mean number in the window, 0 without strips
+  std::size_t innermost;             // the layer with single strips
   int most_strips;                   // of a cluster in each view; from 1, as probable as each other
-  std::array<double, 2> single;      // probability that an X and a V strip of the innermost layer fires
+  std::array<double, 2> single;      // probability that an X and a V strip of `innermost` fires
   std::array<double, 2> charge;      // fC; uniform from the first to the second
   double window;                     // ns; times are uniform in it
   HotChannels hot;

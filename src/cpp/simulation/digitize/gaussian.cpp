@@ -41,7 +41,7 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
     if (x >= layer.sheet_width()) continue;
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
                         static_cast<std::uint32_t>(truths.particle[row]));
-    const std::uint32_t place = readout.first_place + static_cast<std::uint32_t>(truths.layer[row]);
+    const auto place = static_cast<std::uint32_t>(truths.layer[row]);
     const Block words = stream.block(Purpose::digitization, place, earlier(truths, event_begin, row));
     if (open_unit(words[2]) > errors.efficiency) return std::nullopt;
     DigiRow common{truths.event[row], truths.layer[row], sheet, 0};

@@ -23,7 +23,6 @@ struct GaussianReadout {
   double gain;                             // electrons on the anode per electron of ionization
   std::span<const double> w_values;        // keV per electron of ionization, of each layer
   std::uint64_t seed;
-  std::uint32_t first_place;  // of the random numbers of layer 0; other readouts of a run are below it
 };
 
 // A position in each view of the layer for each truth on the active area of a sheet, ordered by event, layer,
