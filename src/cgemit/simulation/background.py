@@ -302,9 +302,11 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
         level.cluster_rate
         * (np.array([layer.r_readout for layer in layers]) / level.cluster_radius) ** level.cluster_power
     )
-    numbers, first = list(cgem_numbers(detector)), layer_table(detector.layers)["gid_first"]
-    strips_of = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
-    gids = np.concatenate([np.arange(n, dtype=np.int32) + first[i] for i, n in zip(numbers, strips_of, strict=True)])
+    numbers, gid_first = list(cgem_numbers(detector)), layer_table(detector.layers)["gid_first"]
+    gids = np.concatenate([
+        gid_first[number] + np.arange(layer.sheets * (layer.strips_x + layer.strips_v), dtype=np.int32)
+        for number, layer in zip(numbers, layers, strict=True)
+    ])  # fmt: skip
     clusters = np.zeros(len(detector.layers))
     clusters[numbers] = rate * area * level.strip_window * 1e-6 * factor
     hot = gids[channel_kinds(gids, STRIPS) >= 1 - level.hot_strips]
