@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 import cgemit as cg
-from cgemit.detector import Slab, compiled, slabs
+from cgemit.detector import Slab, slabs
 from cgemit.detector.parts import CgemLayer, WireLayer
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import PARAMETERS
 
 Floats = npt.NDArray[np.float64]
@@ -256,7 +257,7 @@ def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> li
     xi = stretch * sum(slab.xi for slab in crossed)
     chi_c2 = stretch * sum(row[1] for slab in crossed for row in _elements(slab))
     own = [stretch * sum(row[1] for row in _elements(slab)) for slab in found]
-    acting = np.maximum(np.minimum(stretch * compiled(detector, gaps=False).acting, chi_c2), own)
+    acting = np.maximum(np.minimum(stretch * tuned(detector).acting, chi_c2), own)
     return [TracedSlab(slab, xi, float(one), cut) for slab, one in zip(found, acting, strict=True)]
 
 

@@ -32,10 +32,12 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def equal_weights(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Compile detectors in which all matter of a track acts with every slab, for detectors that the test loads."""
-    from cgemit.detector import core
+    """Tune detectors in which all matter of a track acts with every slab; none of them is kept."""
+    from cgemit import fit_matter
+    from cgemit.detector.core import forget
 
-    monkeypatch.setattr(core, "_share_scattering", lambda *_: None)
-    core.forget()
+    monkeypatch.setattr(fit_matter, "_with_shared_scattering", lambda core, *_: core)
+    monkeypatch.setattr(fit_matter, "_kept", fit_matter._tuned)
+    forget()  # and the momentum errors that presets have kept
     yield
-    core.forget()
+    forget()

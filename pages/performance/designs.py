@@ -13,6 +13,7 @@ import numpy as np
 
 import cgemit as cg
 from cgemit.detector import Detector, compiled
+from cgemit.fit_matter import tuned
 from cgemit.study import Evaluation, sobol, sweep
 from pages.page import Numbers
 from pages.performance.timing import DETECTOR
@@ -66,12 +67,12 @@ def complete(variant: Detector) -> object:
 def measure_variants(_share: float) -> Numbers:
     """Measure each kind of change; both ways alternate, the fastest of some repeats counts."""
     base, rows = cg.load(DETECTOR), []
-    compiled(base, gaps=False)
+    tuned(base)
     for name, change in CHANGES.items():
         fast, whole = [], []
         for i in range(REPEATS):
             changes = change(i)
-            fast.append(seconds(lambda changes=changes: compiled(base.with_overrides(changes), gaps=False)))
+            fast.append(seconds(lambda changes=changes: tuned(base.with_overrides(changes))))
             whole.append(seconds(lambda changes=changes: complete(base.with_overrides(changes))))
         rows.append(VariantCost(name, 1000 * min(fast), 1000 * min(whole)))
     return Numbers(rows)

@@ -16,6 +16,7 @@ import numpy as np
 import cgemit as cg
 from cgemit import _core, helix, isa
 from cgemit.detector import compiled
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.fit import core_arguments
 from pages.page import Numbers
@@ -130,7 +131,7 @@ def measure_covariances(_share: float) -> Numbers:
     tracks = cg.analytic(DETECTOR, p=1.0, readout="gaussian", samples=SAMPLES, threads=1, reveal_sides=True)._tracks
     alone = dataclasses.replace(tracks, samples=1, phases=tracks.phases[:1])
     base = cg.load(DETECTOR)
-    variants = [compiled(base.with_overrides({key: "x1.00002"}), gaps=False) for key in KEYS]
+    variants = [tuned(base.with_overrides({key: "x1.00002"})) for key in KEYS]
     calls = {
         "alone": lambda: alone.run(budget=False),
         "point": lambda: tracks.run(budget=True),

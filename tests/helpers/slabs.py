@@ -118,7 +118,9 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
     cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, 2))}
     real = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in ("number", "cells", "gid_first")}
-    return _core.Detector(
+    core = _core.Detector(
         bz=bz, slabs=columns, log_terms=np.array(terms), composition=composition(elements), layers=cgem, wires=wires,
-        screening=getattr(_core.Screening, screening), loss=getattr(_core.CoreLoss, loss),
+        screening=getattr(_core.Screening, screening),
     )  # fmt: skip
+    choice = getattr(_core.CoreLoss, loss)
+    return core.with_loss(loss=choice, radiation=True, momentum_error=_core.USUAL_MOMENTUM_ERROR)

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from cgemit import _core
-from cgemit.detector import Detector, compiled, slab_table, slabs
+from cgemit.detector import Detector, slab_table, slabs
 from cgemit.detector.core import compiled_field, layer_table, wire_table
+from cgemit.fit_matter import tuned
 from cgemit.particles.species import species
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.tables import Table
@@ -113,7 +114,7 @@ def hits_of(detector: Detector, out):
 
 def hits_on(detector: Detector, helix, pdg=13):
     """Return the hits of a particle that starts on a helix and slows down, but does not scatter."""
-    return hits_of(detector, transport(compiled(detector), on_helix(helix, pdg)))
+    return hits_of(detector, transport(tuned(detector), on_helix(helix, pdg)))
 
 
 def order_of_matter(detector, hits, n_noise, turns_back=False):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cgemit import FitSettings, Gun, Settings, _core, extrapolate, load, run
-from cgemit.detector import compiled
 from cgemit.detector import slabs as slabs_of
+from cgemit.fit_matter import tuned
 from slabs import BERYLLIUM, COPPER, ELECTRON, WATER, slab_detector
 from stats import assert_within, mean_error
 
@@ -158,7 +158,7 @@ def test_the_fit_may_leave_radiation_out():
     energy = np.hypot(p, ELECTRON)
     both = [
         _core._testing.core_loss(
-            compiled(detector, radiation=on), 0, path=1.0, p=p, mass=ELECTRON, charge=-1, track_xi=1e-6
+            tuned(detector, radiation=on), 0, path=1.0, p=p, mass=ELECTRON, charge=-1, track_xi=1e-6
         )
         for on in (True, False)
     ]

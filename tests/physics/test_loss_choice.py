@@ -13,7 +13,8 @@ import pytest
 from cgemit import _core
 from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
-from cgemit.detector import compiled, load
+from cgemit.detector import load
+from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import CORE_SETTINGS, FitSettings
 from cgemit.study import pulls
@@ -38,7 +39,7 @@ class Measured(NamedTuple):
 def measured(p: float) -> Measured:
     """Return what the fit knows of a muon at 90 degrees."""
     detector = load("besiii-cgem-design")
-    compact, helix = compiled(detector), np.array([0, 0.4, -1 / p, 0, 0])
+    compact, helix = tuned(detector), np.array([0, 0.4, -1 / p, 0, 0])
     hits = hits_on(detector, helix)
     settings = dataclasses.asdict(FitSettings())
     chosen = {"errors_from_track": False, "momentum": p, "prior_sigma": settings["prior_sigma"]}

@@ -9,7 +9,8 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.detector import compiled, slabs, write_field_map
+from cgemit.detector import slabs, write_field_map
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.vertex import begin_at_vertices
 from stats import assert_within
 
@@ -94,7 +95,7 @@ def line_fit(detector: cg.Detector, p: float) -> tuple[np.ndarray, np.ndarray]:
     Intercept and slope at the origin; each scatter moves the points beyond by its angle times the distance. The angles
     are those of the matter's own model, everything else is independent of the fit.
     """
-    core = compiled(detector, gaps=False)
+    core = tuned(detector)
     total = _core.total_matter(core, 0.0)[2]
     cov = np.diag(np.full(len(RADII), SIGMA**2))
     for number, slab in enumerate(slabs(detector)):
@@ -186,7 +187,7 @@ def test_states_scatter_with_the_given_momentum():
         assert (out["status"] == 0).all()
         start = result.fitted["cov"][:, 1, 1]
         errors[bz] = np.median(out["cov"][:, 1, 1] - start) if bz == 0 else 0.0
-    pipe = compiled(in_field("besiii-cgem", 0.0), gaps=False)
+    pipe = tuned(in_field("besiii-cgem", 0.0))
     total = _core.total_matter(pipe, 0.0)[2]
     angle = _core.scattering_angle(pipe, 0, path=1.0, p=0.3, mass=MUON, charge=-1, track_chi_c2=total)
     assert errors[0.0] == pytest.approx(angle**2, rel=0.05)

@@ -7,7 +7,8 @@ import pytest
 
 from cgemit import _core
 from cgemit.chain.run import run
-from cgemit.detector import compiled, load
+from cgemit.detector import load
+from cgemit.fit_matter import tuned
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings
@@ -46,7 +47,7 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
     best = optimum(detector, hits, helix, MUON, CUT).cov
     settings = FitSettings()
     out = _core.fit(
-        compiled(detector), hit_offsets=np.array([0, len(hits)]), hits=found, mass=np.array([MUON]), start=helix[None],
+        tuned(detector), hit_offsets=np.array([0, len(hits)]), hits=found, mass=np.array([MUON]), start=helix[None],
         settings={
             "max_iterations": 20, "tolerance": 1e-6, "errors_from_track": False, "least_width": 0.1,
             "delta_strips": 0.0, "kinks": True, "outlier_pull": 0.0, "prior_sigma": settings.prior_sigma,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from cgemit import _core
-from cgemit.detector import compiled, load, slab_table, slabs
+from cgemit.detector import load, slab_table, slabs
 from cgemit.detector.core import layer_table, wire_table
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import FitSettings
 from stats import assert_within
 from tracks import MUON, hits_on
@@ -30,7 +31,7 @@ def covariance(core, hits, helix):
 def merging(detector, helix, merged=None):
     """Return the change of the covariance by merging, in units of the errors without."""
     hits = hits_on(detector, helix)
-    whole, parts = (covariance(core, hits, helix) for core in (merged or compiled(detector), compiled(detector, False)))
+    whole, parts = (covariance(core, hits, helix) for core in (merged or tuned(detector), tuned(detector, merge=False)))
     sigma = np.sqrt(np.diag(parts))
     return (whole - parts) / np.outer(sigma, sigma)
 

@@ -17,9 +17,9 @@ CPP_LAYERS = [
     {"motion"},
     {"matter"},
     {"kalman"},
+    {"covariance"},
     {"simulation/transport", "simulation/digitize", "simulation/background", "simulation/truth"}
-    | {"reconstruction/cluster", "reconstruction/find", "reconstruction/fit", "reconstruction/refine"}
-    | {"covariance"},
+    | {"reconstruction/cluster", "reconstruction/find", "reconstruction/fit"},
     {"kernels"},
     {"bindings"},
 ]
@@ -33,6 +33,7 @@ PYTHON_LAYERS = [
     {"tables"},
     {"detector", "helix"},
     {"particles"},
+    {"fit_matter"},
     {"reconstruction", "simulation"},
     {"chain"},
     {"analysis"},

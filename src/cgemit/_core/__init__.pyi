@@ -23,6 +23,7 @@ CORE_CUT_XI: Final[float]
 CORE_CUT_SHARE: Final[float]
 MOST_ERROR: Final[float]  # relative, of a momentum above which it is not measured; also over the prior's, along z
 STRAIGHT_FIELD: Final[float]  # T, below which tracks are fitted as straight lines
+USUAL_MOMENTUM_ERROR: Final[float]  # relative, of which CORE_CUT_SHARE is
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
 LOSS_GRID_STEP: Final[float]
 LOSS_POINTS: Final[int]
@@ -167,17 +168,16 @@ class Detector:
         screening: Screening,
         lattice: _Columns = {},
         gaps: list[dict[str, Any]] = [],
-        loss: CoreLoss = CoreLoss.truncated,
-        radiation: bool = True,
         field: Field | None = None,
         simulated: bool = True,
-        momentum_error: float = 0.003,
     ) -> None: ...
     # radius mm; matter inside was not crossed, or twice if it is negative.
     def beginning_at(self, radius: float) -> Detector: ...
     def in_field(self, bz: float) -> Detector: ...
+    # momentum_error: relative, for the truncated loss
+    def with_loss(self, *, loss: CoreLoss, radiation: bool, momentum_error: float) -> Detector: ...
     # parts (n_slabs, 5): of the scatters of each slab in the variances (5,) of a track
-    def share_scattering(self, *, parts: npt.ArrayLike, variances: npt.ArrayLike) -> None: ...
+    def with_shared_scattering(self, *, parts: npt.ArrayLike, variances: npt.ArrayLike) -> Detector: ...
     @property
     def bz(self) -> float: ...  # T, at the origin
     @property

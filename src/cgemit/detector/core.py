@@ -337,14 +337,14 @@ def compiled(
     merge: bool = True,
     screening: str = "wentzel",
     foil: str = "effective",
-    loss: str = "truncated",
-    radiation: bool = True,
     *,
     gaps: bool = True,
     matter: bool = True,
-    momentum_error: float | None = None,
 ) -> _core.Detector:
     """Return the detector of the compiled core; equal descriptions share one with gaps.
+
+    It assumes nothing of tracks: all matter of a track acts with every slab. The fit takes that of
+    `cgemit.fit_matter.tuned`.
 
     Parameters
     ----------
@@ -354,17 +354,11 @@ def compiled(
         See `slabs`.
     screening : str
         Screening of nuclei in multiple scattering, ``"wentzel"`` or ``"moliere"`` (docs/methods/matter.md).
-    loss : str
-        Energy loss that the fit subtracts (``FitSettings.loss``).
-    radiation : bool
-        Whether it includes the bremsstrahlung of electrons and positrons.
     gaps : bool
         Whether to make the tables that only the simulation reads, which take most of the time: of scatters that are
         drawn, and of ionization and electrons in the drift gaps.
     matter : bool
         Whether there is matter.
-    momentum_error : float or None
-        See `FitSettings`. None: that of the detector, `usual_momentum_error`.
 
     Raises
     ------
@@ -377,8 +371,7 @@ def compiled(
     >>> compiled(cg.load("besiii-cgem")).field.bz
     -1.0
     """
-    error = usual_momentum_error(detector) if momentum_error is None else momentum_error
-    choice = (merge, screening, foil, loss, radiation, gaps, matter, error)
+    choice = (merge, screening, foil, gaps, matter)
     # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
     return _shared(detector, *choice) if gaps else _kept(detector, *choice)
 
@@ -390,17 +383,14 @@ def forget() -> None:
     gap_columns.cache_clear()
 
 
-def _made(
-    detector: Detector, merge: bool, screening: str, foil: str, loss: str, radiation: bool, gaps: bool, matter: bool,
-    momentum_error: float,
-) -> _core.Detector:  # fmt: skip
+def _made(detector: Detector, merge: bool, screening: str, foil: str, gaps: bool, matter: bool) -> _core.Detector:
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
     table = slab_table(found)
     if not matter:
         table = without_matter(table)
-    core = _core.Detector(
+    return _core.Detector(
         bz=detector.field.bz,
         **table._asdict(),
         layers=layer_table(detector.layers),
@@ -408,116 +398,12 @@ def _made(
         screening=getattr(_core.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector) if gaps else [],
-        loss=getattr(_core.CoreLoss, loss),
-        radiation=radiation,
         field=compiled_field(detector),
         simulated=gaps,
-        momentum_error=momentum_error,
     )
-    if matter:
-        _share_scattering(core, detector.layers)
-    return core
 
 
 _kept, _shared = once(_made), lru_cache(maxsize=64)(_made)
-
-
-MOST_MOMENTUM_ERROR = 0.003  #: Largest relative error of momenta that straggling is counted for.
-_MUON = 0.1056583755  # GeV/c2
-_GEV_PER_T_MM = 0.299792458e-3  # momentum over field times radius
-_KAPPA = 9  # its variance among those of the upper triangle of a covariance
-
-
-def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
-    """Return the expected covariance of a muon of 1 GeV/c across the beam, None where it cannot be fitted."""
-    one, none = np.ones(1), np.zeros(1)
-    # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs. Compiled detectors are
-    # kept: with the scalar kernels they are the same whichever instruction set was in use when they were made.
-    found = _core.covariances(
-        core, phi=0.1 * one, kappa=-one, tanl=none, mass=_MUON * one, scatters=none, samples=1, scalar=True,
-        phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
-        model={
-            "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,
-            "prior_sigma": (20.0, 0.1, 1.0, 100.0, 0.2), "cos_theta": [0.0], "corr_xv": [0.0] * len(layers),
-            "sigma_x": [_error(layer, 0) or 1.0 for layer in layers],
-            "sigma_v": [_error(layer, 1) or 1.0 for layer in layers],
-        },
-    )  # fmt: skip
-    return None if found["status"].any() else found
-
-
-def with_hits_of(kept: _core.Detector, core: _core.Detector, layers: Sequence[Layer]) -> _core.Detector:
-    """Return a variant of a detector in which the same hits tell the matter that acts with each slab.
-
-    It then changes in no steps where the muon crosses another cell. With slabs or wires in another order the variant is
-    returned as it is.
-
-    Parameters
-    ----------
-    kept, core : _core.Detector
-        The detector and the variant.
-    layers : sequence of Layer
-        Of the variant.
-    """
-    if not _core.same_surfaces(kept, core):
-        return core
-    core = core.with_acting(np.full(core.n_slabs, np.inf))
-    _share_scattering(core, layers, kept)
-    return core
-
-
-def _share_scattering(core: _core.Detector, layers: Sequence[Layer], hits_of: _core.Detector | None = None) -> None:
-    """Tell every slab which matter acts with it."""
-    variants = {"variants": [core]} if hits_of else {}
-    found = _muon_across(hits_of or core, layers, budget=True, **variants)
-    if found is None:
-        return
-    # Terms of the budget: hits, scattering and straggling of each slab, the prior. The last column is a covariance.
-    terms = found["budget"][0, :, :5]
-    parts = terms[len(terms) - 1 - 2 * core.n_slabs : -1 : 2]
-    core.share_scattering(parts=parts, variances=terms.sum(axis=0))
-
-
-def _error(layer: Layer, view: int) -> float:
-    return pitches(layer)[view] / math.sqrt(12) if isinstance(layer, CgemLayer) else layer.errors[view]
-
-
-@once
-def _reach(chamber: DriftChamber) -> tuple[float, float, float, int]:
-    """Return the radii of the first and the last wires, their least error, and the number of layers."""
-    return (
-        chamber.layers[0].r_mid,
-        chamber.layers[-1].r_mid,
-        min(one.sigma for one in chamber.layers),
-        len(chamber.layers),
-    )
-
-
-@once
-def usual_momentum_error(detector: Detector) -> float:
-    """Return the relative error of momenta that the fit counts straggling for, see `FitSettings.momentum_error`.
-
-    The expected error of a muon of 1 GeV/c across the beam, at most 0.3 %. The error without matter is tried first:
-    R.L. Gluckstern, Nucl. Instrum. Methods 24 (1963) 381.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
-    layers = detector.layers
-    errors = [_error(layer, 0) for layer in layers]
-    seen = [(layer.r_mid, layer.r_mid, error, 1) for layer, error in zip(layers, errors, strict=True) if error > 0]
-    if detector.drift_chamber and detector.drift_chamber.layers:
-        seen.append(_reach(detector.drift_chamber))
-    first, last, least, many = zip(*seen, strict=True) if seen else ((0.0,), (0.0,), (0.0,), (0,))
-    lever, number = max(last) - min(first), sum(many)
-    sagitta = _GEV_PER_T_MM * abs(detector.field.bz) * lever**2
-    if number < 3 or min(least) * math.sqrt(720 / (number + 4)) > MOST_MOMENTUM_ERROR * sagitta:
-        return MOST_MOMENTUM_ERROR
-    found = _muon_across(compiled(detector, gaps=False, momentum_error=0.0), layers)
-    if found is None:
-        return MOST_MOMENTUM_ERROR
-    return float(min(MOST_MOMENTUM_ERROR, math.sqrt(found["covariance"][0, _KAPPA])))
 
 
 def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:

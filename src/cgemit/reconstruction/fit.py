@@ -14,9 +14,9 @@ from cgemit import _core, helix
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
-from cgemit.detector import SCREENINGS, Detector, Screening, compiled, load, slabs
+from cgemit.detector import SCREENINGS, Detector, Screening, load, slabs
 from cgemit.detector.channels import checked
-from cgemit.detector.core import with_hits_of
+from cgemit.fit_matter import tuned, with_hits_of
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.states import USUAL_MOMENTUM, SurfaceName, state_columns
@@ -310,10 +310,9 @@ def compiled_matter(detector: Detector, settings: FitSettings) -> _core.Detector
     detector : Detector
     settings : FitSettings
     """
-    screening = settings.screening or SCREENINGS[0]
-    return compiled(
-        detector, screening=screening, loss=settings.loss, radiation=settings.radiation, gaps=False,
-        matter=settings.matter, momentum_error=settings.momentum_error,
+    return tuned(
+        detector, settings.screening or SCREENINGS[0], settings.loss, settings.radiation, matter=settings.matter,
+        momentum_error=settings.momentum_error,
     )  # fmt: skip
 
 

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.base.validate import number
-from cgemit.detector import SCREENINGS, Detector, compiled, load, slabs
+from cgemit.detector import SCREENINGS, Detector, load, slabs
+from cgemit.fit_matter import tuned
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import FitHits
 from cgemit.tables import Table
@@ -164,7 +165,7 @@ def extrapolate(
         momentum=momentum or float(table.meta.get("momentum", USUAL_MOMENTUM)), bz=detector.field.bz,
     )  # fmt: skip
     out = _core.extrapolate(
-        compiled(detector, screening=screening, loss=loss, radiation=bool(radiation)), pivot=pivot, helix=parameters,
+        tuned(detector, screening, loss, bool(radiation)), pivot=pivot, helix=parameters,
         cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), matter_p=in_matter, radius=float(radius),
         share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, check_numbers
 from cgemit.detector import Detector, Screening, compiled, load
+from cgemit.fit_matter import tuned
 from cgemit.particles.species import compiled_decays
 from cgemit.particles.table import check_particles, not_transported
 from cgemit.tables import Table
@@ -188,8 +189,12 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
         columns["charge"] = np.where(left_out, 0, columns["charge"]).astype(np.int8)
     if "decay_time" in particles:
         columns["decay_time"] = particles["decay_time"].astype(np.float64)
+    merge, screening = not settings.sublayers, settings.screening
+    # Only noise like the fit's, and the loss that it subtracts, need what the fit assumes.
+    full = settings.fluctuations == "full"
+    core = compiled(detector, merge, screening, settings.foil) if full else tuned(detector, screening, merge=merge)
     return {
-        "detector": compiled(detector, not settings.sublayers, settings.screening, settings.foil),
+        "detector": core,
         "particles": columns,
         "fluctuations": getattr(_core.Fluctuations, settings.fluctuations),
         "deltas": settings.deltas,

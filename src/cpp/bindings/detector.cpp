@@ -211,8 +211,8 @@ void bind_detector(py::module_& module) {
       .def(py::init([](double bz, const py::dict& slabs, const Array<double>& log_terms,
                        const py::dict& composition, const py::dict& layer_columns,
                        const std::variant<Chamber, py::dict>& wires, Screening screening,
-                       const py::dict& lattice, const py::list& gaps, CoreLoss loss, bool radiation,
-                       const std::optional<FieldMap>& field, bool simulated, double momentum_error) {
+                       const py::dict& lattice, const py::list& gaps, const std::optional<FieldMap>& field,
+                       bool simulated) {
              std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
              add_holes(lattice, made);
              std::vector<MeasuringLayer> layers = make_measuring_layers(layer_columns);
@@ -223,7 +223,6 @@ void bind_detector(py::module_& module) {
              Problems problems;
              check(problems, bz, made, layers, matter.size());
              check(problems, unplaced);
-             Part(problems, "loss").within("momentum_error", momentum_error, 0, 1);
              problems.raise("detector");
              Chamber chamber =
                  columns != nullptr ? in_place(std::move(unplaced), *columns) : std::get<Chamber>(wires);
@@ -231,21 +230,30 @@ void bind_detector(py::module_& module) {
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(chamber.layers), std::move(matter));
              prepare_scattering(detector, screening, simulated);
-             prepare_loss(detector, loss, radiation, momentum_error);
+             prepare_loss(detector, CoreLoss::truncated, true, usual_momentum_error);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
            py::arg("layers"), py::arg("wires"), py::arg("screening"), py::arg("lattice") = py::dict(),
-           py::arg("gaps") = py::list(), py::arg_v("loss", CoreLoss::truncated, "CoreLoss.truncated"),
-           py::arg("radiation") = true, py::arg("field") = py::none(), py::arg("simulated") = true,
-           py::arg("momentum_error") = usual_momentum_error)
+           py::arg("gaps") = py::list(), py::arg("field") = py::none(), py::arg("simulated") = true)
       .def("beginning_at", &beginning_at, py::arg("radius"),
            "The detector for the fit of particles that begin at a radius (mm): matter inside was not "
            "crossed, or "
            "twice if the radius is negative.")
       .def(
-          "share_scattering",
-          [](Detector& detector, const Array<double>& parts, const Array<double>& variances) {
+          "with_loss",
+          [](Detector detector, CoreLoss loss, bool radiation, double momentum_error) {
+            Problems problems;
+            Part(problems, "loss").within("momentum_error", momentum_error, 0, 1);
+            problems.raise("detector");
+            prepare_loss(detector, loss, radiation, momentum_error);
+            return detector;
+          },
+          py::kw_only(), py::arg("loss"), py::arg("radiation"), py::arg("momentum_error"),
+          "The detector with another energy loss that the fit subtracts.")
+      .def(
+          "with_shared_scattering",
+          [](Detector detector, const Array<double>& parts, const Array<double>& variances) {
             const auto n = static_cast<py::ssize_t>(detector.slabs.size());
             const auto columns = matrix(parts, "parts", n, 5);
             std::vector<std::array<double, 5>> rows(detector.slabs.size());
@@ -254,11 +262,11 @@ void bind_detector(py::module_& module) {
             std::array<double, 5> whole{};
             std::ranges::copy(column(variances, "variances", 5), whole.begin());
             share_scattering(detector, rows, whole);
+            return detector;
           },
           py::kw_only(), py::arg("parts"), py::arg("variances"),
-          "Set the matter that acts with each slab, from the variances of the parameters of one track and "
-          "the "
-          "parts of each slab's scatters in them.")
+          "The detector with the matter that acts with each slab, from the variances of the parameters of "
+          "one track and the parts of each slab's scatters in them.")
       .def(
           "in_field",
           [](Detector detector, double bz) {

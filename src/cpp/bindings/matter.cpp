@@ -37,6 +37,7 @@ py::dict pass_slabs(const Detector& detector, double p, double mass, double char
 
 void bind_matter(py::module_& module) {
   module.attr("CORE_CUT_XI") = core_cut_xi;
+  module.attr("USUAL_MOMENTUM_ERROR") = usual_momentum_error;
   module.attr("CORE_CUT_SHARE") = core_cut_share(usual_momentum_error);
   module.def(
       "total_matter",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cgemit import DigitizeSettings, FitSettings, Gun, Result, Settings, Workers, _core, isa, load, run
-from cgemit.detector.core import MOST_MOMENTUM_ERROR, compiled, usual_momentum_error
+from cgemit.fit_matter import MOST_MOMENTUM_ERROR, tuned, usual_momentum_error
 from cgemit.reconstruction.fit import core_arguments
 from cgemit.simulation.digitize import digitizer_of
 from fields import HARMONIC
@@ -121,7 +121,7 @@ def test_compiled_detectors_do_not_depend_on_the_instruction_set(name: str) -> N
     for which in isa.available():
         isa.use(which)
         copied = pickle.loads(pickle.dumps(load(name)))  # without what was compiled for it before
-        made.append((compiled(copied, gaps=False).acting.tobytes(), usual_momentum_error(copied)))
+        made.append((tuned(copied).acting.tobytes(), usual_momentum_error(copied)))
     assert made == made[:1] * len(made)
     assert name == "besiii-cgem-design" or made[0][1] < MOST_MOMENTUM_ERROR
 

@@ -19,8 +19,9 @@ from cgemit.analysis.widths import SECOND_INSIDE, measure
 from cgemit.covariance.result import sources
 from cgemit.covariance.sensitivity import varied
 from cgemit.covariance.tracks import core_width, status_of
-from cgemit.detector import compiled, slabs
+from cgemit.detector import slabs
 from cgemit.detector.readouts import READOUTS
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import compiled_for_fit
 from fields import HARMONIC
 
@@ -298,7 +299,7 @@ def test_tracks_of_one_point_are_those_traced_one_by_one(detector: str) -> None:
     together = cg.analytic(base, "pi+", p, cos_theta, readout="gaussian", samples=32)._tracks
     together = dataclasses.replace(together, scatters=np.zeros(len(together.phi)))
     alone = dataclasses.replace(together, samples=1, phases=together.phases[:1])
-    cores = [compiled(base.with_overrides({"field.bz": "x1.001"}), gaps=False)]
+    cores = [tuned(base.with_overrides({"field.bz": "x1.001"}))]
     for name in ("scalar", isa.available()[-1]):
         isa.use(name)
         try:

@@ -113,8 +113,7 @@ def shared(weights):
     """Return three slabs for a parameter that is the sum of their angles with these weights."""
     core, parts = slab_detector(THREE), np.zeros((3, 5))
     parts[:, 4] = np.square(weights) * [chi_c2([part[:2]]) for part in THREE]
-    core.share_scattering(parts=parts, variances=[1, 1, 1, 1, parts[:, 4].sum()])
-    return core
+    return core.with_shared_scattering(parts=parts, variances=[1, 1, 1, 1, parts[:, 4].sum()])
 
 
 def angles(core, track=None):
@@ -158,7 +157,7 @@ def test_the_mean_over_parameters():
     parts[:, 0], parts[:, 3] = each, np.array([1.0, 0.01, 0.0]) * each
     for hits in (0.0, 1.0, 1e9):
         core, variances = slab_detector(THREE), np.array([each.sum(), 1, 1, parts[:, 3].sum() * (1 + hits), 1])
-        core.share_scattering(parts=parts, variances=variances)
+        core = core.with_shared_scattering(parts=parts, variances=variances)
         ratios = parts[0, [0, 3]] / parts[:, [0, 3]].sum(axis=0)
         share = parts[0, [0, 3]] / variances[[0, 3]]
         matter = each[0] * np.exp(-(share @ np.log(ratios)) / share.sum())

@@ -15,6 +15,7 @@ from cgemit import Gun, Settings, _core, helix, load, run
 from cgemit.detector import DetectorError, compiled, slabs
 from cgemit.detector.core import grid_of, strip_gains, strip_lists
 from cgemit.detector.parts import PLACEMENT, Placed, local_v, seen_by
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.find import truth
@@ -99,12 +100,12 @@ def test_what_the_fit_expects():
     x = layer.r_readout * turn[sheet]
     expected = np.array([x, local_v(layer, x, at[2])])
     # Matter before the layer makes the helix of the fit curl a little more than this one: the same for both.
-    plain = predicted(compiled(DESIGN, merge=True), sheet)
+    plain = predicted(tuned(DESIGN), sheet)
     there = crossing_in_place(track, layer.r_mid)
     x_0 = layer.r_readout * ((np.arctan2(there[1], there[0]) - layer.sheet_phi[sheet]) % (2 * np.pi))
     without = np.array([x_0, local_v(layer, x_0, there[2])])
     around = 2 * np.pi * layer.r_readout
-    moved = predicted(compiled(detector), sheet) - plain
+    moved = predicted(tuned(detector), sheet) - plain
     moved[0] = (moved[0] + around / 2) % around - around / 2
     np.testing.assert_allclose(moved, expected - without, atol=2e-3)
     assert np.abs(moved).max() > 0.2

@@ -11,7 +11,7 @@ import pytest
 import cgemit as cg
 from cgemit import _core
 from cgemit.chain.match import joined, match
-from cgemit.detector import compiled
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
 from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
@@ -325,7 +325,7 @@ def test_columns_of_the_compiled_fit_are_checked(result):
     }  # fmt: skip
 
     def run(offsets=hits.hit_offsets, **columns):
-        return _core.fit(compiled(DETECTOR), hit_offsets=offsets, hits=hits.columns() | columns, **arguments)
+        return _core.fit(tuned(DETECTOR), hit_offsets=offsets, hits=hits.columns() | columns, **arguments)
 
     assert np.all(run()["status"] == 0)
     for offsets in (hits.hit_offsets + 1, hits.hit_offsets[::-1].copy()):

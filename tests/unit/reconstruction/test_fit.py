@@ -19,6 +19,7 @@ from cgemit import _core, helix, isa
 from cgemit.chain import run, settings
 from cgemit.chain.match import compare, joined, match
 from cgemit.detector import compiled, load
+from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
 from cgemit.reconstruction.cluster import cluster
@@ -351,7 +352,7 @@ NEAR = np.array([2.0, 0.02, 0.05, 5.0, 0.04])
 
 def seeds(hits, offsets, mass, source=ALL, detector=DETECTOR):
     """Return the first helices of some candidates."""
-    core = compiled(detector)
+    core = tuned(detector)
     return _core._testing.seeds(
         core, hit_offsets=offsets, hits=hits, mass=np.broadcast_to(mass, len(offsets) - 1), source=source
     )

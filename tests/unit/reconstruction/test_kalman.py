@@ -8,8 +8,9 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core, helix
-from cgemit.detector import compiled, load, slab_table, slabs
+from cgemit.detector import load, slab_table, slabs
 from cgemit.detector.core import layer_table, wire_table
+from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import FitSettings, FitStatus
 from cgemit.reconstruction.states import StateStatus
 from fields import HARMONIC, small_map
@@ -65,7 +66,7 @@ def fitted(core, hits, start, which_settings):
 def smeared_track(name, which, seed=3):
     """Return detector, core, true helix and smeared hits of a scattered track."""
     detector = load(name)
-    core, helix = compiled(detector), np.array(HELICES[which])
+    core, helix = tuned(detector), np.array(HELICES[which])
     hits = hits_of(detector, transport(core, on_helix(helix), "gaussian", seed))
     rng = np.random.default_rng(seed)
     noise = hits["sigma"] * rng.normal(size=len(hits["kind"]))
@@ -354,7 +355,7 @@ def test_differences_with_matter(name, bz, charge, shape):
     line: 6e-3 of the largest entry for dr and tanl, 3e-4 for kappa. Far from it or slower: 4e-2 and 5e-3. A step of
     a standard deviation of the fit then moves a prediction by less than a tenth of its error.
     """
-    detector, core, parameters = DETECTORS[name, bz], compiled(DETECTORS[name, bz]), helix_of(shape, charge)
+    detector, core, parameters = DETECTORS[name, bz], tuned(DETECTORS[name, bz]), helix_of(shape, charge)
     hits = hits_on(detector, parameters)
     rows = reference(core, parameters, hits)["rows"]
     gentle = abs(parameters[0]) <= 1 and abs(parameters[2]) < 1 / 0.15
@@ -380,7 +381,7 @@ def test_differences_with_kinks(shape, charge, bz):
     path: of the size of the angles times the tangent of the incidence, for dr and kappa of slow tracks.
     """
     detector, parameters = DETECTORS["besiii-cgem-design", bz], helix_of(shape, charge)
-    core, kinks, hits = compiled(detector), kinked(detector), hits_on(detector, helix_of(shape, charge))
+    core, kinks, hits = tuned(detector), kinked(detector), hits_on(detector, helix_of(shape, charge))
     rows = _core._testing.reference(core, parameters, MUON, hits, kinks)["rows"]
     limits = [3e-2, 1e-7, 7e-3, 1e-7, 1.5e-3] if shape == "slow" else [3e-3, 1e-7, 1e-3, 1e-7, 1e-4]
     for i, part in enumerate(limits):
@@ -398,7 +399,7 @@ def test_differences_with_kinks(shape, charge, bz):
 def test_a_kink_is_its_noise_vector(shape, angle):
     """A small kink moves the hits beyond by row times noise vector, times how many standard deviations it is."""
     detector, parameters = DETECTORS["besiii-cgem-design", -1], helix_of(shape, 1)
-    core, hits = compiled(detector), hits_on(detector, parameters)
+    core, hits = tuned(detector), hits_on(detector, parameters)
     start, place = _core._testing.reference(core, parameters, MUON, hits), 7
     kinks = np.zeros((len(slabs(detector)), 2))
     kinks[place, angle] = 1e-5
@@ -463,7 +464,7 @@ def test_stopped_in_matter():
     """A proton of 0.1 GeV/c runs out of momentum in the beam pipe, and the reference says so."""
     detector = DETECTORS["besiii-cgem-design", -1]
     hits = hits_on(detector, helix_of("central 1 GeV/c", 1))
-    out = _core._testing.reference(compiled(detector), np.array([0, 0.4, 1 / 0.1, 0, 0]), 0.93827208816, hits)
+    out = _core._testing.reference(tuned(detector), np.array([0, 0.4, 1 / 0.1, 0, 0]), 0.93827208816, hits)
     assert out["stopped"]
     assert out["reached"] == 0
 
@@ -474,11 +475,11 @@ def test_transport_without_fluctuations_is_the_reference():
         for charge in (-1, 1):
             for shape in SHAPES:
                 parameters = helix_of(shape, charge)
-                out = transport(compiled(detector), on_helix(parameters))
+                out = transport(tuned(detector), on_helix(parameters))
                 if not len(out["wire_truths"]["layer"]):
                     continue
                 hits = hits_on(detector, parameters)
-                found = reference(compiled(detector), parameters, hits)["predicted"]
+                found = reference(tuned(detector), parameters, hits)["predicted"]
                 value = np.where(hits["kind"] == 2, hits["value"] * hits["side"], hits["value"])
                 np.testing.assert_allclose(
                     found, value[: len(found)], rtol=0, atol=1e-9, err_msg=f"{name} {bz} {shape}"
@@ -589,7 +590,7 @@ def test_noise_behind_all_matter(shape, charge):
     The simulation without fluctuations tells how place, direction and momentum in the gap depend on the helix; the
     noise vector is the change of the helix that makes the kick.
     """
-    detector, core = DETECTORS_NOISE[-1], compiled(DETECTORS_NOISE[-1])
+    detector, core = DETECTORS_NOISE[-1], tuned(DETECTORS_NOISE[-1])
     parameters = helix_of_noise(shape, charge)
 
     def arrival(helix_row):
@@ -641,7 +642,7 @@ def reference_field(core, parameters, hits):
 
 
 def test_matter_acts_together_in_a_constant_map_as_in_a_uniform_field():
-    acting = [compiled(detector).acting for detector in (UNIFORM, EVEN)]
+    acting = [tuned(detector).acting for detector in (UNIFORM, EVEN)]
     assert len(set(acting[0])) > 20
     np.testing.assert_allclose(acting[1], acting[0], rtol=1e-5)
 
@@ -655,7 +656,7 @@ def test_constant_map_is_the_uniform_field(shape):
     bare, other_bare = (reference_field(without_matter(detector), parameters, hits) for detector in (UNIFORM, EVEN))
     scale = np.abs(bare["rows"]).max(axis=0)
     np.testing.assert_allclose(other_bare["rows"] / scale, bare["rows"] / scale, rtol=0, atol=1e-9)
-    one, other = (reference_field(compiled(detector), parameters, hits) for detector in (UNIFORM, EVEN))
+    one, other = (reference_field(tuned(detector), parameters, hits) for detector in (UNIFORM, EVEN))
     assert other["predicted"] == pytest.approx(one["predicted"], abs=1e-6)
     # A displaced track loses its momentum after the same path in one, on the same cylinder in the other.
     for name, tolerance in (("rows", [2e-3, 1e-9, 1e-4, 1e-9, 1e-6]), ("noise", [5e-4, 5e-4, 1e-9, 1e-4, 1e-9])):
@@ -689,7 +690,7 @@ def test_taylor_sees_the_rows_of_a_uniform_field():
 @every_shape
 def test_differences_with_matter_field(shape):
     """As in a uniform field: exact up to how obliquely the matter is crossed, which depends on z now, too."""
-    core, parameters = compiled(UNEVEN), np.array(SHAPES_FIELD[shape])
+    core, parameters = tuned(UNEVEN), np.array(SHAPES_FIELD[shape])
     hits = hits_on(UNEVEN, parameters)
     rows = reference_field(core, parameters, hits)["rows"]
     gentle = abs(parameters[0]) <= 1 and abs(parameters[2]) < 1 / 0.15
@@ -707,7 +708,7 @@ def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
     parameters = np.array(SHAPES_FIELD[shape])
     hits = hits_on(UNIFORM, parameters)
     kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNIFORM)), 2))
-    cores = [compiled(detector) for detector in (UNIFORM, EVEN)]
+    cores = [tuned(detector) for detector in (UNIFORM, EVEN)]
     one, other = (_core._testing.reference(core, parameters, MUON, hits, kinks) for core in cores)
     assert other["predicted"] == pytest.approx(one["predicted"], abs=1e-6)
     assert other["noise_units"] == pytest.approx(one["noise_units"], rel=1e-6)
@@ -720,7 +721,7 @@ def test_kinks_in_a_constant_map_are_those_of_a_uniform_field(shape):
 @every_shape
 def test_differences_with_kinks_field(shape):
     """Displaced tracks are scattered on the same cylinder: rows through a map are exact up to how the loss depends."""
-    core, parameters = compiled(UNEVEN), np.array(SHAPES_FIELD[shape])
+    core, parameters = tuned(UNEVEN), np.array(SHAPES_FIELD[shape])
     hits = hits_on(UNEVEN, parameters)
     kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(UNEVEN)), 2))
     rows = _core._testing.reference(core, parameters, MUON, hits, kinks)["rows"]
@@ -746,7 +747,7 @@ def test_wires_on_a_span_are_those_of_a_trajectory_that_stops_there(shape, scatt
     parameters = np.array(SHAPES_FIELD[shape])
     hits = hits_on(detector, parameters)
     kinks = np.random.default_rng(3).normal(scale=0.01, size=(len(slabs(detector)), 2)) if scattered else None
-    core = compiled(detector)
+    core = tuned(detector)
     stops, passes = (_core._testing.reference(core, parameters, MUON, hits, kinks, spans=spans) for spans in (0, 1))
     assert len(passes["predicted"]) == len(stops["predicted"]) > 35
     np.testing.assert_allclose(passes["predicted"], stops["predicted"], rtol=0, atol=distance)
@@ -759,7 +760,7 @@ def test_wires_on_a_span_are_those_of_a_trajectory_that_stops_there(shape, scatt
 def test_simulation_without_fluctuations_is_the_reference(shape):
     parameters = np.array(SHAPES_FIELD[shape])
     hits = hits_on(UNEVEN, parameters)
-    found = reference_field(compiled(UNEVEN), parameters, hits)["predicted"]
+    found = reference_field(tuned(UNEVEN), parameters, hits)["predicted"]
     value = np.where(hits["kind"] == 2, hits["value"] * hits["side"], hits["value"])
     assert found == pytest.approx(value, abs=1e-5)
 

@@ -11,7 +11,8 @@ import cgemit as cg
 from cgemit import _core, helix
 from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
-from cgemit.detector import compiled, load, slabs
+from cgemit.detector import load, slabs
+from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus
 from cgemit.reconstruction.states import StateStatus, Surface, extrapolate
@@ -174,7 +175,7 @@ def test_extrapolation_follows_the_simulation():
     """Without fluctuations, a helix taken from the origin to each gap is the simulated particle, and back the same."""
     start = np.array([[0.3, 0.4, 2.5, 5.0, 0.4], [-0.2, -2.0, -1.0, 2.0, -0.7]])
     cov = np.repeat(np.diag([1e-2, 1e-6, 1e-6, 1e-2, 1e-6])[None], 2, axis=0)
-    out = transport(compiled(DETECTOR), on_helix(start))["truths"]
+    out = transport(tuned(DETECTOR), on_helix(start))["truths"]
     result, _ = states_of((), n=2)
     columns = {name: start[:, i] for i, name in enumerate(PARAMETERS)}
     tracks = result.tracks.with_columns(cov=cov, **columns)
@@ -357,7 +358,7 @@ def assert_close(found, expected, place=1e-9, parameters=1e-9, cov=1e-8):
 @pytest.mark.parametrize("radius", EVERY_RADIUS)
 def test_extrapolation_in_a_constant_map_is_that_of_the_uniform_field(radius, matter):
     """Outward and back in, through all matter or none."""
-    uniform, constant = (compiled(d) if matter else without_matter(d) for d in (UNIFORM, EVEN))
+    uniform, constant = (tuned(d) if matter else without_matter(d) for d in (UNIFORM, EVEN))
     expected, found = go(uniform, radius), go(constant, radius)
     assert_close(found, expected, parameters=1e-8)
     assert_close(on(constant, found, 25.0), on(uniform, expected, 25.0), parameters=1e-8)

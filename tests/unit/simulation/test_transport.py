@@ -19,6 +19,7 @@ from cgemit.chain import run
 from cgemit.chain.executor import Workers
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, compiled, load, write_field_map
+from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun, generate
 from cgemit.particles.species import DECAYS, KNOWN, DecayMode, decay_table
 from cgemit.reconstruction.find import truth
@@ -140,7 +141,7 @@ def test_unsmeared_hits_fit_perfectly(name, bz, helix):
         "kinks": False, "outlier_pull": 0.0, "momentum": 1.0, "prior_sigma": (200.0, 2, 5, 1000, 5),
     }  # fmt: skip
     start = helix + np.array([0.5, 0.004, 0.02 * helix[2], 3, 0.01])
-    out = _core.fit(compiled(detector), hit_offsets=np.array([0, len(hits["kind"])]), hits=hits,
+    out = _core.fit(tuned(detector), hit_offsets=np.array([0, len(hits["kind"])]), hits=hits,
                     mass=np.array([MUON]), start=start[None], settings=settings, residuals=True)  # fmt: skip
     assert out["status"][0] == 0
     sigma = np.sqrt(np.diag(out["cov"][0]))
@@ -575,7 +576,7 @@ def test_impossible_numbers_are_refused(given):
 
 def test_the_core_refuses_them_too():
     with pytest.raises(ValueError, match="half_turns: got 16, expected 1 to 15"):
-        transport(compiled(DESIGN_TURNS), ONE, half_turns=16)
+        transport(tuned(DESIGN_TURNS), ONE, half_turns=16)
 
 
 UNEVEN = {"kind": "harmonic", "bz": "-0.98 T", "b": "0.175 /m2", "q": "-0.251 /m4", "tolerance": "1e-6 mm"}
@@ -682,7 +683,7 @@ def test_constant_map_simulates_what_the_uniform_field_does(p):
     uniform = cg.load("besiii-cgem-design")
     even = uniform.with_field({"kind": "harmonic", "bz": "-1 T", "b": "0 /m2", "tolerance": "1e-8 mm"})
     table = gun(n=300, p=p)
-    one, other = (transport(compiled(det), table, "gaussian") for det in (uniform, even))
+    one, other = (transport(tuned(det), table, "gaussian") for det in (uniform, even))
     assert (one["status"] == other["status"]).all()
     for name in ("truths", "wire_truths"):
         assert one[name]["event"].tolist() == other[name]["event"].tolist()
@@ -735,7 +736,7 @@ def write_small_map(folder, detector):
 def test_tracks_that_leave_the_map_have_a_status(tmp_path, detector):
     small = detector.with_field(write_small_map(tmp_path, detector))
     table = gun(n=100, vertex=5.0)
-    out, whole = (transport(compiled(det), table) for det in (small, detector))
+    out, whole = (transport(tuned(det), table) for det in (small, detector))
     assert (out["status"] == TransportStatus.left_field).sum() > 90
     assert set(out["status"]) <= {TransportStatus.left_field, TransportStatus.curled, TransportStatus.end}
     assert np.hypot(out["wire_truths"]["x"], out["wire_truths"]["y"]).max() < 400.1
@@ -751,7 +752,7 @@ def test_tracks_that_leave_the_map_have_a_status(tmp_path, detector):
 def test_a_particle_from_outside_the_map(tmp_path, detector):
     small = detector.with_field(write_small_map(tmp_path, detector))
     table = particles([[0, 0, 310.0], [450, 0, 0], [0, 0, 0]], [0.3, 0.1, 0.05])
-    assert transport(compiled(small), table)["status"].tolist() == [TransportStatus.left_field] * 3
+    assert transport(tuned(small), table)["status"].tolist() == [TransportStatus.left_field] * 3
 
 
 def test_chain_and_results_carry_the_field(detector):

@@ -1,0 +1,96 @@
+"""What the fit assumes of matter and momenta: from one muon, never of a detector that is only compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cgemit import _core
+from cgemit.detector import compiled
+from cgemit.fit_matter import MOST_MOMENTUM_ERROR, tuned, usual_momentum_error, with_hits_of
+from cgemit.simulation.transport import core_arguments
+from slabs import ELECTRON
+
+DESIGN = cg.load("besiii-cgem-design")
+ACTING = np.full(compiled(DESIGN).n_slabs, np.inf)
+
+
+def simulated(core: _core.Detector, fluctuations: cg.simulation.transport.Fluctuations) -> dict[str, np.ndarray]:
+    """Return the crossings of some muons."""
+    particles = cg.run(DESIGN, cg.Gun("mu-", p=(0.1, 1.0), cos_theta=(-0.9, 0.9)), n=20, seed=5).particles
+    settings = cg.SimulateSettings(fluctuations=fluctuations)
+    found: dict[str, np.ndarray] = _core.simulate(
+        **core_arguments(DESIGN, particles, settings, 5) | {"detector": core}
+    )["truths"]
+    return found
+
+
+def test_a_compiled_detector_assumes_nothing_whatever_was_tuned_before() -> None:
+    for gaps in (True, False):
+        assert np.array_equal(compiled(DESIGN, gaps=gaps).acting, ACTING)
+    variant = tuned(DESIGN.with_overrides({"cgem.L2.pitch_x": "500 um"}))
+    before = tuned(DESIGN).acting
+    assert np.all(np.isfinite(before))
+    with_hits_of(tuned(DESIGN), variant, DESIGN.layers)
+    for gaps in (True, False):
+        assert np.array_equal(compiled(DESIGN, gaps=gaps).acting, ACTING)
+    assert tuned(DESIGN).acting.tobytes() == before.tobytes()
+
+
+def test_a_detector_is_tuned_once_for_each_choice() -> None:
+    assert tuned(DESIGN) is tuned(DESIGN)
+    assert tuned(DESIGN) is tuned(DESIGN, momentum_error=usual_momentum_error(DESIGN))
+    assert tuned(DESIGN) is not tuned(DESIGN, loss="mean")
+
+
+def test_without_matter_nothing_acts_and_nothing_is_lost() -> None:
+    core = tuned(DESIGN, matter=False)
+    assert np.array_equal(core.acting, ACTING)
+    assert _core.total_matter(core, 0.0)[:2] == (0.0, 0.0)
+
+
+def test_only_noise_like_the_fits_depends_on_what_the_fit_assumes() -> None:
+    """With full fluctuations every scatter and collision is drawn, and the fit's assumptions change no bit."""
+    assumed = compiled(DESIGN).with_acting(0.01 * tuned(DESIGN).acting)
+    assumed = assumed.with_loss(loss=_core.CoreLoss.mean, radiation=False, momentum_error=0.1)
+    for fluctuations, same in (("full", True), ("gaussian", False), ("off", False)):
+        usual, other = (simulated(core, fluctuations) for core in (compiled(DESIGN), assumed))
+        assert all(np.array_equal(usual[name], other[name]) for name in usual) == same, fluctuations
+
+
+@pytest.mark.parametrize("fluctuations", ["full", "gaussian", "off"])
+def test_the_simulation_takes_the_fits_noise(fluctuations: cg.simulation.transport.Fluctuations) -> None:
+    settings = cg.SimulateSettings(fluctuations=fluctuations)
+    particles = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=0.0), n=1).particles
+    core = core_arguments(DESIGN, particles, settings, 1)["detector"]
+    assert core is (compiled(DESIGN) if fluctuations == "full" else tuned(DESIGN))
+
+
+@pytest.mark.parametrize("name", ["besiii-cgem", "cepc-like"])
+def test_the_momentum_error_is_that_of_a_muon_of_1_gev_at_most_three_per_mille(name: str) -> None:
+    """By the covariance of the same muon, with the fit's own priors and hit errors, within 3 %."""
+    detector = cg.load(name)
+    fit = cg.FitSettings(momentum_error=0.0)
+    expected = float(np.sqrt(cg.analytic(detector, "mu-", p=1.0, cos_theta=0.0, fit=fit).cov[2, 2]))
+    assert (expected > MOST_MOMENTUM_ERROR) == (name == "besiii-cgem")
+    assert usual_momentum_error(detector) == pytest.approx(min(expected, 0.003), rel=0.03)
+
+
+@pytest.mark.parametrize("error", [-0.1, 1.5, np.nan])
+def test_impossible_momentum_errors_are_refused(error: float) -> None:
+    with pytest.raises(ValueError, match=r"loss momentum_error: got"):
+        compiled(DESIGN).with_loss(loss=_core.CoreLoss.truncated, radiation=True, momentum_error=error)
+
+
+def test_the_loss_is_that_of_the_choice() -> None:
+    """Electrons lose more on average with radiation; a larger momentum error lets harder collisions count."""
+
+    def loss(core: _core.Detector) -> float:
+        given = {"path": 1.0, "p": 1.0, "mass": ELECTRON, "charge": -1, "track_xi": 1e-6}
+        found: float = _core._testing.core_loss(core, 0, **given)[0]
+        return found
+
+    assert loss(tuned(DESIGN)) > loss(tuned(DESIGN, radiation=False))
+    small, large = (loss(tuned(DESIGN, radiation=False, momentum_error=error)) for error in (0.001, 0.1))
+    assert small < loss(tuned(DESIGN, radiation=False)) < large
