@@ -14,10 +14,10 @@ from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.parts import CgemLayer, DriftChamber, Layer, pitches
 from cgemit.particles.species import species
+from cgemit.units import GEV_PER_T_MM
 
 MOST_MOMENTUM_ERROR = _core.USUAL_MOMENTUM_ERROR  #: Largest relative error of momenta that straggling is counted for.
 _MUON = species("mu-").mass
-_GEV_PER_T_MM = 0.299792458e-3  # momentum over field times radius
 _KAPPA = 9  # its variance among those of the upper triangle of a covariance
 
 
@@ -114,7 +114,7 @@ def usual_momentum_error(detector: Detector) -> float:
         seen.append(_reach(detector.drift_chamber))
     first, last, least, many = zip(*seen, strict=True) if seen else ((0.0,), (0.0,), (0.0,), (0,))
     lever, number = max(last) - min(first), sum(many)
-    sagitta = _GEV_PER_T_MM * abs(detector.field.bz) * lever**2
+    sagitta = GEV_PER_T_MM * abs(detector.field.bz) * lever**2
     if number < 3 or min(least) * math.sqrt(720 / (number + 4)) > MOST_MOMENTUM_ERROR * sagitta:
         return MOST_MOMENTUM_ERROR
     found = _muon_across(tuned(detector, momentum_error=0.0), layers)

@@ -21,7 +21,6 @@ from cgemit.detector.material import Material
 from cgemit.detector.matter import ENDLESS, NUMBERS, Slab, hole_table, slabs
 from cgemit.detector.parts import (
     IN_PLACE,
-    CgemLayer,
     Contents,
     DriftChamber,
     Layer,
