@@ -221,7 +221,7 @@ def shares_of(at: errors.Design, jitter: bool, displaced: float, n: int, seed: i
     used, inputs = readout if jitter else replace(readout, jitter=0.0), error_inputs(at.detector, readout)
     result = cg.run(at.detector, errors.muons(n, seed, displaced), seed=seed, readout=used, until="digitize")
     clusterer, none = charge_clusterer(used), dict.fromkeys((one.name for one in fields(ChipErrors)), 0.0)
-    (group,) = at.detector.groups(used)
+    (group,) = at.detector.with_readout(used).groups
     none |= {"noise": 0.0, "jitter": 0.0, "rise": 0.0, "height_by_threshold": inputs.chip["height_by_threshold"]}
 
     def clusters(changed: dict[str, float], directions: Floats | None = None) -> Table:

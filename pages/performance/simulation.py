@@ -84,7 +84,7 @@ def with_electrons(steps: Table, factor: int) -> Table:
 
 def read_out(result: cg.Result, readout: Readout, steps: Table) -> None:
     """Digitize and cluster."""
-    (group,) = result.detector.groups(readout)
+    (group,) = result.detector.with_readout(readout).groups
     digis = digitizer_of(readout).digitize(group, result.truths, steps, READOUT_SEED)
     cg.cluster(result.detector, digis, readout=readout)
 

@@ -304,7 +304,7 @@ def reader(kind: Any) -> Reader:
     Values of numpy become those of Python, lists and arrays tuples, and whole numbers floats where floats are kept. The
     name of a choice becomes an instance with all defaults.
     """
-    constraint = _constraint(kind)
+    constraint = constraint_of(kind)
     if constraint is None:
         return functools.partial(_read_matched, kind, matcher(kind))
     return functools.partial(_read_optional, constraint.read) if allows_none(kind) else constraint.read
@@ -321,7 +321,7 @@ def _read_optional(read: Reader, path: str, given: object, problems: Problems) -
     return None if given is None else read(path, given, problems)
 
 
-def _constraint(kind: Any) -> Quantity | None:
+def constraint_of(kind: Any) -> Quantity | None:
     """Return the constraint that reads the values of a kind itself, if it has one."""
     for one in _members(kind):
         found = get_args(one)[1] if get_origin(one) is Annotated else one
@@ -532,7 +532,7 @@ def build(
     """
     kinds, values, before = kinds_of(cls), {}, len(problems)
     defaults = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
-    for name, raw in entries(given, path, kinds, problems, lambda key: _owner(key, cls, choices or {})).items():
+    for name, raw in entries(given, path, kinds, problems, lambda key: owner_of(key, cls, choices or {})).items():
         count = len(problems)
         value = _read_field(kinds[name], raw, joined(path, name), problems, defaults[name])
         if len(problems) == count:
@@ -568,7 +568,7 @@ def _read_field(kind: Any, raw: object, path: str, problems: Problems, field: Fi
     return build(classes[name], table, path, problems, classes)
 
 
-def _owner(key: str, cls: type[Any], choices: Mapping[str, type[Any]]) -> str:
+def owner_of(key: str, cls: type[Any], choices: Mapping[str, type[Any]]) -> str:
     """Return which other choices have a key; an empty text if none has."""
     owners = [name for name, one in choices.items() if one is not cls and key in kinds_of(one)]
     mine = next((name for name, one in choices.items() if one is cls), "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import time
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -46,7 +47,7 @@ from cgemit.chain.settings import (
 )
 from cgemit.detector import Detector, load
 from cgemit.detector.drift import check_wire_times
-from cgemit.detector.readouts import Readout
+from cgemit.detector.parts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
@@ -118,7 +119,7 @@ def run(
     seed: int = 1,
     *,
     settings: Settings | None = None,
-    readout: Readout | str | None = None,
+    readout: Readout | str | Mapping[str, Any] | None = None,
     fit_detector: Detector | str | Mapping[str, Any] | None = None,
     finder: FinderLike = "truth",
     until: Literal["simulate", "digitize", "cluster", "find", "fit"] = "fit",
@@ -145,9 +146,9 @@ def run(
         0 to 2**64 - 1.
     settings : Settings or None
         Of all stages; defaults if None.
-    readout : Readout, str or None
-        Readout of the CGEM layers, instead of that of the settings. A readout that starts from ionization clusters
-        makes them rows of ``steps``.
+    readout : Readout, str, mapping or None
+        Of all CGEM layers, instead of those of `detector` and `fit_detector`. A readout that starts from ionization
+        clusters makes them rows of ``steps``.
     fit_detector : Detector or None
         Detector that the reconstruction assumes: clusters, finder and fit. None: the simulated one.
     finder : str or callable
@@ -252,7 +253,7 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     made = add_background.unchecked(job.detector, **made, settings=settings.background, seed=job.seed)
     yield "digitize", made
     digis, wire_hits = made["digis"], made["wire_hits"]
-    clusters = cluster.unchecked(job.fit_detector, digis, settings.cluster, readout=settings.digitize.readout)
+    clusters = cluster.unchecked(job.fit_detector, digis, settings.cluster)
     yield "cluster", {"clusters": clusters}
     finder, hits = (
         finder_of_run(job, Truths(job.detector, particles, truths, wire_truths)),
@@ -260,8 +261,9 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     )
     again = settings.refine.find_again and job.finder != "truth"
     found: Tables = {}
+    refined = refinements_of(settings, job.fit_detector)
     for step, tables in turns(
-        job.fit_detector, hits, finder, fit_settings(settings, job.source), refinements_of(settings), find_again=again
+        job.fit_detector, hits, finder, fit_settings(settings, job.source), refined, find_again=again
     ):
         found |= tables
         yield step, tables
@@ -339,31 +341,69 @@ def _checked(
         raise TypeError(f"settings: got {type(settings).__name__}, expected {expected_settings(settings)}")
     found = Problems()
     simulated: Any = found.collect(load, detector)
-    given: Any = found.collect(for_run, settings or Settings(), readout)
     assumed: Any = simulated if fit_detector is None else found.collect(load, fit_detector)
+    if readout is not None:
+        same = assumed is simulated
+        simulated = _read_out(simulated, readout, found)
+        assumed = simulated if same or simulated is None else _read_out(assumed, readout, found)
+    given: Any = settings or Settings()
+    if simulated is not None:
+        given = found.collect(for_run, given, simulated)
     most = 2**31 - 1
     found.collect(check_numbers, "run", seed, workers.threads, n=(n, 0, most), chunk=(workers.chunk, 1, most))
-    found.collect(check_clusterer, assumed, given, until)
+    found.collect(check_clusterer, assumed, until)
+    found.collect(check_digis, simulated, assumed, until)
     for one in (simulated, assumed) if assumed is not simulated else (simulated,):
         found.collect(check_raw_times, one, given, until)
     source: Any = found.collect(source_of, gun, n, charges)
     kept = found.collect(
-        check_stages, finder, until, workers, keep, given, source is not None and source[3] is not None
+        check_stages, finder, until, workers, keep, given, assumed, source is not None and source[3] is not None
     )
     if output is not None:
         found.collect(check_format, output.format)
     found.report("run")
     if until in STAGES[2:]:
-        warn_of_losses(simulated, given.digitize.readout)
+        warn_of_losses(simulated)
     shooter, n_events, table, events = source
     return Job(simulated, assumed, shooter, table, events, given, seed, finder, until, kept), n_events
 
 
-def check_clusterer(detector: Detector | None, settings: Settings | None, until: object) -> None:
-    """Raise an error if clusters of the readout cannot be made, before anything is simulated."""
-    if detector is not None and settings is not None and until in STAGES[2:]:
-        for group in detector.groups(settings.digitize.readout):
+def _read_out(detector: Detector | None, readout: Any, problems: Problems) -> Detector | None:
+    """Return a detector with a readout; None, with the problem noted, if there is no such readout."""
+    found: Detector | None = None if detector is None else problems.collect(detector.with_readout, readout)
+    return found
+
+
+def check_clusterer(detector: Detector | None, until: object) -> None:
+    """Raise an error if clusters of a readout cannot be made, before anything is simulated."""
+    if detector is not None and until in STAGES[2:]:
+        for group in detector.groups:
             clusterer_of(group.readout).check(group)
+
+
+def check_digis(detector: Detector | None, fit_detector: Detector | None, until: object) -> None:
+    """Raise an error if a layer makes positions of which strips are expected, or the reverse; warn of other readouts.
+
+    Layers are compared by their number; another number of layers is not for this check.
+    """
+    if detector is None or fit_detector is None or until not in STAGES[2:]:
+        return
+    pairs = list(zip(detector.layers, fit_detector.layers, strict=False))
+    problems, others = Problems(), []
+    for one, other in pairs:
+        if one.readout.makes != other.readout.makes:
+            given = f"readout {other.readout.name}, of {other.readout.makes}"
+            expected = f"one of {one.readout.makes}: the simulated {one.label} has readout {one.readout.name}"
+            problems.note(f"fit_detector.{other.label}", given, expected)
+        elif one.readout.name != other.readout.name:
+            others.append(f"{other.label} {other.readout.name} instead of {one.readout.name}")
+    problems.report("run")
+    if others:
+        warnings.warn(
+            f"{fit_detector.name}: fit_detector has other readouts than the simulation: {', '.join(others)}; "
+            "readout=... sets both",
+            stacklevel=4,
+        )
 
 
 def check_raw_times(detector: Detector | None, settings: Settings | None, until: object) -> None:
@@ -373,7 +413,13 @@ def check_raw_times(detector: Detector | None, settings: Settings | None, until:
 
 
 def check_stages(
-    finder: object, until: object, workers: Workers, keep: Any, settings: Settings | None, has_events: bool = False
+    finder: object,
+    until: object,
+    workers: Workers,
+    keep: Any,
+    settings: Settings | None,
+    detector: Detector | None,
+    has_events: bool = False,
 ) -> tuple[str, ...] | None:
     """Raise an error if a run cannot be as asked for; return the tables to be kept, None for all."""
     problems = Problems()
@@ -389,8 +435,8 @@ def check_stages(
         problems.note("finder", repr(finder), f"{known} or a function of (detector, clusters, wire_hits)")
     if until not in STAGES:
         problems.note("until", repr(until), f"one of {', '.join(map(repr, STAGES))}")
-    elif settings is not None:
-        made = tables_made(str(until), settings)
+    elif settings is not None and detector is not None:
+        made = tables_made(str(until), settings, detector)
         if "candidates" in made and finder != "truth":
             made = (*made, "searches")
         if has_events:

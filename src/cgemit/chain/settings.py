@@ -8,7 +8,8 @@ from typing import Any
 
 from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector
-from cgemit.detector.readouts import READOUTS, Readout
+from cgemit.detector.parts import Readout
+from cgemit.detector.readouts import READOUTS
 from cgemit.particles.gun import Guns, Source, usual_momentum
 from cgemit.reconstruction.candidates import Finder
 from cgemit.reconstruction.cluster import CLUSTERERS, clusterer_of
@@ -129,18 +130,25 @@ def register_readout(
         CLUSTERERS[readout] = clusterer
 
 
-def refinements_of(settings: Settings) -> list[Refinement]:
-    """Return the refinements that the settings ask for, for one reconstruction.
+def refinements_of(settings: Settings, detector: Detector) -> list[Refinement]:
+    """Return the refinements that settings and readouts ask for, for one reconstruction.
 
     Parameters
     ----------
     settings : Settings
+    detector : Detector
+        Of the reconstruction.
     """
-    found, readout = refinements(settings.refine), settings.digitize.readout
-    return [*found, ClusterDirection(readout, settings.cluster)] if clusterer_of(readout).follows_tracks else found
+    found = refinements(settings.refine)
+    return [*found, ClusterDirection(settings.cluster)] if _follows_tracks(detector) else found
 
 
-def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
+def _follows_tracks(detector: Detector) -> bool:
+    """Return whether clusters of any layer are made again with the directions of their tracks."""
+    return any(clusterer_of(group.readout).follows_tracks for group in detector.groups)
+
+
+def tables_made(until: str, settings: Settings, detector: Detector) -> tuple[str, ...]:
     """Return the tables that a run makes.
 
     Parameters
@@ -148,6 +156,8 @@ def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
     until : str
         Its last stage.
     settings : Settings
+    detector : Detector
+        Of its reconstruction.
     """
     made = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
     if until == "fit":
@@ -158,33 +168,29 @@ def tables_made(until: str, settings: Settings) -> tuple[str, ...]:
             "states": bool(settings.fit.states),
             "start_times": fitted_time,
             "refined_wire_hits": fitted_time or refine.drift_times == "raw",
-            "refined_clusters": clusterer_of(settings.digitize.readout).follows_tracks,
+            "refined_clusters": _follows_tracks(detector),
         }
         made |= {name for name, on in optional.items() if on}
     return tuple(name for name in TABLES if name in made)
 
 
-def for_run(settings: Settings, readout: Readout | str | None) -> Settings:
-    """Return the settings of a run: with its readout, and with what the stages need of each other.
+def for_run(settings: Settings, detector: Detector) -> Settings:
+    """Return the settings of a run, with what the stages need of each other.
 
     A readout that starts from ionization clusters needs steps; raw drift times are corrected in the reconstruction.
 
     Parameters
     ----------
     settings : Settings
-    readout : Readout, str or None
-        None: that of the settings.
+    detector : Detector
+        That is simulated.
 
     Raises
     ------
     ValueError
-        If the readout is unknown, or the simulation cannot make what it needs.
+        If the simulation cannot make what a readout needs.
     """
-    if readout is not None:
-        given = settings.digitize
-        digitized = DigitizeSettings(readout=readout, reveal_sides=given.reveal_sides, wire_times=given.wire_times)
-        settings = replace(settings, digitize=digitized)
-    if digitizer_of(settings.digitize.readout).needs_steps and not settings.simulate.steps:
+    if any(digitizer_of(group.readout).needs_steps for group in detector.groups) and not settings.simulate.steps:
         settings = replace(settings, simulate=replace(settings.simulate, steps=True))
     if settings.digitize.wire_times == "raw":
         settings = replace(settings, refine=replace(settings.refine, drift_times="raw"))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cgemit.base.progress import ProgressBar
     from cgemit.chain.settings import Settings
     from cgemit.detector import Detector
+    from cgemit.detector.parts import Readout
     from cgemit.tables import Table
 
 
@@ -202,11 +203,11 @@ def add_readout(parser: argparse.ArgumentParser, default: str | None = None) -> 
     """Add `--readout`."""
     from cgemit.detector.readouts import names_of
 
-    usual = f"default {default}; " if default else ""
+    usual = f"default {default}" if default else "default: those of the detector"
     parser.add_argument(
         "--readout", metavar="NAME", default=default,
         help=f"readout of the CGEM layers: {names_of()} "
-        f"({usual}digitize.readout; --set digitize.readout.KEY changes its settings)",
+        f"({usual}; --set readout.KEY changes a value of it)",
     )  # fmt: skip
 
 
@@ -217,7 +218,9 @@ def stages() -> tuple[str, ...]:
     return tuple(field.name for field in fields(Settings))
 
 
-def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, detector: bool = True) -> Changes:
+def split(
+    texts: Sequence[str], problems: list[str], *, settings: bool = True, detector: bool = True, readout: bool = False
+) -> Changes:
     """Return what the texts of `--set` change.
 
     Parameters
@@ -226,13 +229,14 @@ def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, d
         ``KEY=VALUE``.
     problems : list of str
         Receives each text of another form, and each key that is neither a setting nor a value of the detector.
-    settings, detector : bool
-        Whether the command has settings, and a detector, to be changed.
+    settings, detector, readout : bool
+        Whether the command has settings, a detector, and a readout without a detector, to be changed.
     """
     from cgemit.detector.reader import TOP_LEVEL
 
     known = dict.fromkeys(stages(), "settings") if settings else {}
     known |= {name: "detector" for name in TOP_LEVEL if name not in known} if detector else {}
+    known |= {"readout": "readout"} if readout else {}
     examples = " or ".join(["fit.loss=mean"] * settings + ['cgem.L2.pitch_x="500 um"'] * detector)
     found = Changes([], {})
     for text in texts:
@@ -245,7 +249,7 @@ def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, d
             problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
         elif kind == "settings":
             found.settings.append((name, literal(value)))
-        elif kind == "detector":
+        elif kind is not None:
             found.detector[name] = literal(value)
         else:
             expected = ", or ".join(_kinds_of_keys(known))
@@ -254,13 +258,17 @@ def split(texts: Sequence[str], problems: list[str], *, settings: bool = True, d
 
 
 def _kinds_of_keys(known: Mapping[str, str]) -> list[str]:
-    texts = {"settings": "a setting, which begins with", "detector": "a value of the detector, which begins with"}
+    texts = {
+        "settings": "a setting, which begins with",
+        "detector": "a value of the detector, which begins with",
+        "readout": "a value of the readout, which begins with",
+    }
     keys = {kind: [name for name in known if known[name] == kind] for kind in texts}
     return [f"{text} {', '.join(keys[kind])}" for kind, text in texts.items() if keys[kind]]
 
 
-def settings_of(arguments: argparse.Namespace, *, one_track: bool = False) -> Settings:
-    """Return the settings of a command that has no detector to be changed.
+def settings_and_readout(arguments: argparse.Namespace, *, one_track: bool = False) -> tuple[Settings, Readout | None]:
+    """Return the settings, and the readout if one is given, of a command with `--readout` and without `--detector`.
 
     Parameters
     ----------
@@ -274,11 +282,44 @@ def settings_of(arguments: argparse.Namespace, *, one_track: bool = False) -> Se
         Listing every problem.
     """
     problems: list[str] = []
-    found = split(arguments.overrides, problems, detector=False)
+    found = split(arguments.overrides, problems, detector=False, readout=True)
     settings = read_settings(arguments, found.settings, problems, one_track=one_track)
+    readout = collect(problems, _readout, arguments.readout, found.detector)
+    if problems:
+        raise InputError("\n  ".join(["wrong settings", *problems]))
+    return settings, readout
+
+
+def settings_of(arguments: argparse.Namespace) -> Settings:
+    """Return the settings of a command that has neither detector nor readout to be changed.
+
+    Parameters
+    ----------
+    arguments : Namespace
+
+    Raises
+    ------
+    InputError
+        Listing every problem.
+    """
+    problems: list[str] = []
+    found = split(arguments.overrides, problems, detector=False)
+    settings = read_settings(arguments, found.settings, problems)
     if problems:
         raise InputError("\n  ".join(["wrong settings", *problems]))
     return settings
+
+
+def _readout(name: str | None, changes: Mapping[str, object]) -> Readout | None:
+    """Return the readout of a name with the values that `--set` changes by keys that begin with readout."""
+    from cgemit.detector.reader import readout_of, readout_table, set_path
+
+    if name is None and not changes:
+        return None
+    tables: dict[str, Any] = {} if name is None else {"readout": readout_table(name)}
+    for path, value in changes.items():
+        set_path(tables, path, value if path != "readout" else readout_table(str(value)))
+    return readout_of(tables["readout"])
 
 
 def read_settings(
@@ -311,8 +352,6 @@ def read_settings(
             layers.append((arguments.settings, _tables(arguments.settings)))
         except SettingsError as error:
             problems += [f"{error.source}: {text}" for text in error.problems]
-    if getattr(arguments, "readout", None) is not None:
-        layers.append(("--readout", nested("digitize.readout", arguments.readout)))
     layers += [("--set", nested(key, value)) for key, value in changed]
     given = dict(changed)
     for flag, key, value in _options(arguments):
@@ -531,7 +570,9 @@ def load_inputs(
     overrides = found.detector | (collect(problems, _name, arguments.name, found.detector, len(sources)) or {})
     detectors: dict[str, Detector] = {}
     for source in sources:
-        detector = collect(problems, load_detector, source, overrides, arguments.field)
+        detector = collect(
+            problems, load_detector, source, overrides, arguments.field, getattr(arguments, "readout", None)
+        )
         if detector is not None and detector.name in detectors:
             problems.append(
                 f"-d: got {source}, a second detector of the name {detector.name!r}; expected distinct names, "
@@ -555,13 +596,15 @@ def collect(problems: list[str], make: Callable[P, T], *given: P.args, **named: 
     return None
 
 
-def load_detector(source: str, overrides: dict[str, object], field: str | None) -> Detector:
-    """Return the detector of a preset or file in another field, if one is given, and with some values changed."""
+def load_detector(source: str, overrides: dict[str, object], field: str | None, readout: str | None = None) -> Detector:
+    """Return the detector of a preset or file in another field, with another readout, and with some values changed."""
     from cgemit.detector import load
 
     detector = load(source)
     if field is not None:
         detector = detector.with_field(field)
+    if readout is not None:
+        detector = detector.with_readout(readout)
     return detector.with_overrides(overrides) if overrides else detector
 
 

@@ -30,7 +30,7 @@ other designs. The readouts of the package have theirs."""
 EXAMPLES = """\
 examples:
   cgemit readout --readout apv25 --bz 0 -o test-beam
-  cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set digitize.readout.gain=20000 -o one-tesla
+  cgemit readout --readout tiger --bz 1 --angles "-30 deg:30 deg:7" --set readout.gain=20000 -o one-tesla
   cgemit readout --readout tiger --scan drift_field --values 1:3:5 -o fields
   cgemit readout --readout apv25 --fit my-apv25.toml"""
 
@@ -69,7 +69,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="particles at each angle (default 4000), or in each design (3000)",
     )  # fmt: skip
     parser.add_argument("--fit", metavar="FILE", help="write the factors of the errors of clusters instead")
-    options.add_set(parser, "change one setting, such as digitize.readout.gain=20000; may be repeated")
+    options.add_set(parser, "change one setting, such as readout.gain=20000; may be repeated")
     options.add_settings(parser)
     options.add_output(parser, "folder for readout.csv, .png and .pdf")
     options.add_run(parser)
@@ -80,7 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Scan the angles, or fit the errors."""
     from cgemit.detector.readouts import ChargeReadout, names_of
 
-    readout = options.settings_of(arguments).digitize.readout
+    _, readout = options.settings_and_readout(arguments)
+    assert readout is not None  # it has a default
     if not isinstance(readout, ChargeReadout):
         raise options.InputError(f"--readout: got {readout.name}, expected one of {names_of(ChargeReadout)}")
     return _scan(arguments, readout) if arguments.fit is None else _fit(arguments, readout)

@@ -21,9 +21,10 @@ examples:
   cgemit study --pdf -o slides            figures as PDF too
   cgemit study --quick --json -o look     summary.json on stdout too
   cgemit study --no-deltas -o projected   without delta electrons: the pure projection
-  cgemit study --set digitize.readout.threshold=5 -o coarse   any setting of any stage (cgemit settings lists them)
+  cgemit study --set fit.loss=mean -o mean                any setting of any stage (cgemit settings lists them)
   cgemit study --finder ckf -o found       with tracks that are found, not assigned by truth
   cgemit study --readout tiger -o tiger   with charge and time on strips (--help lists the others)
+  cgemit study --set readout.threshold="5 fC" -o coarse
   cgemit study --field besiii -o uneven    the field of BESIII; or a map of your own, --field map.npz
 
 Ctrl-C leaves no results: the folder appears when everything is in it."""
@@ -53,11 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the study."""
     from cgemit.study.paper.run import reproduce
 
-    settings = options.settings_of(arguments, one_track=True)
+    settings, readout = options.settings_and_readout(arguments, one_track=True)
     with options.progress_bar(arguments, "study") as progress:
         study = reproduce(
             arguments.output, events=arguments.events, seed=arguments.seed, threads=arguments.threads,
-            quick=arguments.quick, pdf=arguments.pdf, settings=settings, field=arguments.field,
+            quick=arguments.quick, pdf=arguments.pdf, settings=settings, readout=readout, field=arguments.field,
             finder=arguments.finder or "truth", overwrite=arguments.overwrite, command=arguments.line,
             progress=progress,
         )  # fmt: skip

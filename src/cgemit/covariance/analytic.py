@@ -27,8 +27,7 @@ from cgemit.covariance.tracks import (
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.gas import most_lost
 from cgemit.detector.keys import once
-from cgemit.detector.parts import DriftChamber
-from cgemit.detector.readouts import Readout
+from cgemit.detector.parts import DriftChamber, Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
 from cgemit.reconstruction.cluster_errors import COS_THETA
@@ -121,7 +120,7 @@ def analytic(
     radius: Quantity | None = None,
     charge: npt.ArrayLike | None = None,
     mass: npt.ArrayLike | None = None,
-    readout: Readout | str = "binary",
+    readout: Readout | str | Mapping[str, Any] | None = None,
     reveal_sides: bool = False,
     fit: FitSettings | None = None,
     samples: int | None = None,
@@ -145,9 +144,9 @@ def analytic(
         cylinder and before all outside. None: at the origin.
     charge, mass : array_like or None
         e, GeV/c2. None: those of the particle. `p`, `cos_theta`, `phi`, `radius`, `charge` and `mass` are broadcast.
-    readout : Readout or str
-        Of the CGEM layers. Binary clusters have the error that follows from their number of strips; the positions of
-        the strips under the track are sampled.
+    readout : Readout, str, mapping or None
+        Of all CGEM layers, instead of those of the detector. Binary clusters have the error that follows from their
+        number of strips; the positions of the strips under the track are sampled.
     reveal_sides : bool
         Whether wire hits tell their side. If not, hits close to their wire have the weights of the fit.
     fit : FitSettings or None
@@ -191,9 +190,10 @@ def analytic(
     detector, fit = load(detector), _FIT if fit is None else FitSettings.of(fit, "fit")
     if threads is not None and not is_whole(threads, 1, 2**15):
         raise ValueError(f"threads: got {threads!r:.60}, expected a whole number from 1 to {2**15}")
-    digitize = DigitizeSettings(readout=readout, reveal_sides=reveal_sides)
+    if readout is not None:
+        detector = detector.with_readout(readout)
     points = points_of(particle, p, cos_theta, phi, radius, charge, mass, samples)
-    return covariance_at(points, detector, digitize, fit, threads)
+    return covariance_at(points, detector, DigitizeSettings(reveal_sides=reveal_sides), fit, threads)
 
 
 def covariance_at(
@@ -214,8 +214,7 @@ def covariance_at(
     ValueError
         If the readout has no expected errors.
     """
-    readout = digitize.readout
-    warn_of_losses(detector, readout)
+    warn_of_losses(detector)
     hits = _expected_hits(detector, digitize, fit)
     _, tracks = _tracks(points, detector, hits, fit, threads)
     if points.at_origin:
@@ -225,7 +224,7 @@ def covariance_at(
     p, cos_theta = (np.asarray(0.5 * (low + high)) for low, high in (points.p, points.cos_theta))
     # Other detectors share points: whoever changes these arrays changes copies.
     phi, radius = points.phi[0].copy(), points.radius.copy()
-    return Covariance(detector, points.particle, readout, p, cos_theta, phi, radius, points, tracks, columns)
+    return Covariance(detector, points.particle, p, cos_theta, phi, radius, points, tracks, columns)
 
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
@@ -247,7 +246,7 @@ def _tracks(
     tracks = Tracks(
         detector, fit, hits.model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64),
         number, sample.phases, threads,
-        efficiencies_of(detector, hits.least_electrons, sample.kappa, sample.tanl, sample.mass),
+        efficiencies_of(detector, sample.kappa, sample.tanl, sample.mass),
     )  # fmt: skip
     return sample, tracks
 
@@ -267,49 +266,44 @@ class ExpectedHits(NamedTuple):
     model : dict
     vary : bool
         Whether they vary among tracks of the same direction.
-    least_electrons : int
-        See `Readout.least_electrons`.
     """
 
     model: HitModel
     vary: bool
-    least_electrons: int
 
 
 def _expected_hits(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> ExpectedHits:
-    """Return how hits of a readout are expected."""
-    readout = digitize.readout
-    clusterers = tuple(clusterer_of(group.readout) for group in detector.groups(readout))
-    return _hit_model(detector, readout, clusterers, digitize.reveal_sides, fit)
+    """Return how hits of a detector are expected."""
+    clusterers = tuple(clusterer_of(group.readout) for group in detector.groups)
+    return _hit_model(detector, clusterers, digitize.reveal_sides, fit)
 
 
 @once
 def _hit_model(
-    detector: Detector, readout: Readout, clusterers: tuple[Clusterer, ...], sides_known: bool, fit: FitSettings
+    detector: Detector, clusterers: tuple[Clusterer, ...], sides_known: bool, fit: FitSettings
 ) -> ExpectedHits:
-    """Return how hits of a readout are expected from the clusterers of its groups, which may be registered anew."""
+    """Return how hits are expected from the clusterers of the groups of layers, which may be registered anew."""
     model: HitModel = {
         "least_width": fit.least_width, "delta_strips": fit.delta_strips, "sides_known": sides_known, "seed": 0,
         "prior_sigma": fit.prior_in(detector),
     }  # fmt: skip
-    model = with_errors_of(model, detector, readout)
-    least = max(one.readout.least_electrons for one in clusterers)
-    lost = _inefficient(detector) or any(most_lost(layer, least) > _SAMPLED_LOSS for layer in detector.layers)
+    model = with_errors_of(model, detector)
+    lost = _inefficient(detector) or any(
+        most_lost(layer, layer.readout.least_electrons) > _SAMPLED_LOSS for layer in detector.layers
+    )
     given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
-    return ExpectedHits(model, lost or not given, least)
+    return ExpectedHits(model, lost or not given)
 
 
-def with_errors_of(model: HitModel, detector: Detector, readout: Readout) -> HitModel:
+def with_errors_of(model: HitModel, detector: Detector) -> HitModel:
     """Return a model with the errors that clusters have in a detector.
 
     Parameters
     ----------
     model : dict
     detector : Detector
-    readout : Readout
-        Of the CGEM layers.
     """
-    groups = detector.groups(readout)
+    groups = detector.groups
     errors = [_errors(group, clusterer_of(group.readout)) for group in groups]
     angles = max(values.shape[1] for one in errors for values in one)
     found = np.empty((3, len(detector.layers), angles))

@@ -17,7 +17,6 @@ from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, s
 from cgemit.detector import Detector
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import Layer
-from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables.show import Shown, data_frame
 
@@ -356,8 +355,6 @@ class Covariance:
     ----------
     detector : Detector
     particle : str
-    readout : Readout
-        Of the CGEM layers.
     p, cos_theta, phi : ndarray, float64, GeV/c, 1, rad
         Of each point, at the origin; middles of ranges. `phi` (azimuth of the momentum) is NaN where it is averaged.
     radius : ndarray, float64, mm
@@ -369,7 +366,6 @@ class Covariance:
 
     detector: Detector
     particle: str
-    readout: Readout
     p: Floats
     cos_theta: Floats
     phi: Floats
@@ -539,7 +535,7 @@ class Covariance:
         ]
         more = [f"  ... {len(rows) - 12} more"] if len(rows) > 12 else []
         head = f"<{self.detector.name}, {self.particle}"
-        head += f", readout {self.readout.name}" if self.detector.cgem else ""
+        head += f", readout {self.detector.readout_text}" if self.detector.cgem else ""
         radii = np.unique(self.radius[~np.isnan(self.radius)])
         if len(radii):
             head += f", on cylinders of {', '.join(f'{radius:g}' for radius in radii)} mm"

@@ -61,7 +61,7 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
         return []
     tracks = base._tracks
     smooth = [_with_stereo(one, base.detector) for one, _ in variants]  # as the cores are
-    models = [with_errors_of(tracks.model, one, base.readout) for one in smooth]
+    models = [with_errors_of(tracks.model, one) for one in smooth]
     same = [number for number, model in enumerate(models) if model == tracks.model]
     found: dict[int, Floats] = {}
     if same:

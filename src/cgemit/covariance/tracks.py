@@ -100,7 +100,7 @@ _MOST_SLANTED = 0.141
 _LEAST_LOSS = 1e-6
 
 
-def efficiencies_of(detector: Detector, least: int, kappa: Floats, tanl: Floats, mass: Floats) -> Floats:
+def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Floats) -> Floats:
     """Return the probability that tracks from the origin have clusters, (tracks, layers) or, if they are certain, (0,).
 
     The path through a gap is that of the direction in its middle, on a circle in the field at the origin.
@@ -108,11 +108,9 @@ def efficiencies_of(detector: Detector, least: int, kappa: Floats, tanl: Floats,
     Parameters
     ----------
     detector : Detector
-    least : int
-        See `Readout.least_electrons`.
     kappa, tanl, mass : ndarray, (tracks,) float64, (GeV/c)^-1, 1 and GeV/c2
     """
-    if all(most_lost(layer, least) < _LEAST_LOSS for layer in detector.layers):
+    if all(most_lost(layer, layer.readout.least_electrons) < _LEAST_LOSS for layer in detector.layers):
         return np.zeros(0)
     slant = np.hypot(1.0, tanl)
     ln_betagamma = np.log(slant / np.abs(kappa) / mass)
@@ -123,7 +121,8 @@ def efficiencies_of(detector: Detector, least: int, kappa: Floats, tanl: Floats,
             continue
         turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)
         path = layer.drift_gap * slant / np.maximum(np.cos(turned), _MOST_SLANTED)
-        found[:, number] = enough_electrons(layer.gas, clusters_per_mm(layer.gas, ln_betagamma) * path, least)
+        clusters = clusters_per_mm(layer.gas, ln_betagamma) * path
+        found[:, number] = enough_electrons(layer.gas, clusters, layer.readout.least_electrons)
     return found
 
 

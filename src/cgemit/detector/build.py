@@ -35,8 +35,10 @@ from cgemit.detector.reader import (
     TOP_LEVEL,
     UNUSABLE,
     Reader,
+    spread_readout,
     writable,
 )
+from cgemit.detector.readouts import DEFAULT_READOUTS
 
 #: Volume of a mole of ideal gas at 20 C and 1 atm, cm3: R T/p with CODATA 2018 R = 8.314462618 J/(mol K).
 MOLAR_VOLUME = 8.314462618 * 293.15 / 101325 * 1e6
@@ -304,6 +306,10 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
     own = reader.mapping("materials", tables.get("materials", {}))
     reader.materials = read_materials(reader, library(), own)
     field = _field(reader, tables.get("field"))
+    tables = {**tables, "cgem": dict(reader.mapping("cgem", tables.get("cgem", {})))}
+    if "readout" in tables:
+        reader.readout("readout", tables["readout"], CgemLayer)
+        spread_readout(tables)
     pipe = Labelled(_parts(reader, tables, "beam_pipe", Cylinder, "r_in"))
     cgem = Labelled(_parts(reader, tables, "cgem", CgemLayer, "anode_radius", complete_layer))
     layer = Labelled(_parts(reader, tables, "layer", MeasurementLayer, "radius", complete_measurement))
@@ -459,6 +465,7 @@ def complete_measurement(reader: Reader, path: str, values: dict[str, Any]) -> N
     elif x0 is not None:
         values["thickness"] = x0 * getattr(values["material"], "x0", UNUSABLE)
     values.setdefault("thickness", _SENSOR)
+    values.setdefault("readout", DEFAULT_READOUTS[MeasurementLayer])
     values.setdefault("length", _LENGTH * values["radius"])
 
 
@@ -470,6 +477,7 @@ def complete_layer(_reader: Reader, _path: str, values: dict[str, Any]) -> None:
     The stereo angle is that of the sheet's diagonal in whole strips, as in the readout of the BESIII CGEM
     (docs/methods/detector.md). `stereo_sign` is removed.
     """
+    values.setdefault("readout", DEFAULT_READOUTS[CgemLayer])
     sign = values.pop("stereo_sign", 1)
     if "strips_x" not in values:
         radius = values["anode_radius"] + values.get("readout_offset", 0.0)

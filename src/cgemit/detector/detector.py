@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from cgemit.base.errors import DetectorError, Problem, Problems, shown
 from cgemit.detector import check, delphes, export, variants
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import CARD, field_tables, is_file, is_preset, open_source, place_map, resolve
-from cgemit.detector.keys import Known
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, Layer, cgem_layers, cgem_numbers
-from cgemit.detector.reader import merged, set_path
-from cgemit.detector.readouts import POSITIONS, Readout
+from cgemit.detector.keys import Known, once
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, Labelled, Layer, Readout, cgem_layers
+from cgemit.detector.reader import merged, readout_of, readout_table, set_path
+from cgemit.detector.readouts import DEFAULT_READOUTS
 from cgemit.tables import Table
 from cgemit.units import NATIVE
 
@@ -145,29 +145,73 @@ class Detector(Contents):
         """
         return replace_field(self, source)
 
-    def groups(self, readout: Readout) -> tuple[ReadoutGroup, ...]:
-        """Return the layers by their readout: CGEM layers have the given one, all others measure positions.
+    def with_readout(self, readout: Readout | str | Mapping[str, Any]) -> Detector:
+        """Return the same detector, of the same name, with one readout of all CGEM layers.
+
+        The keys ``cgem.LABEL.readout`` and `with_overrides` choose the readout of each layer.
 
         Parameters
         ----------
-        readout : Readout
+        readout : Readout, str or mapping
+            A name stands for the readout with its defaults; a mapping is a table as in a detector file, such as
+            ``{"name": "tiger", "noise": "0.4 fC"}``.
 
-        Returns
-        -------
-        tuple of ReadoutGroup
-            By their innermost layer. Every layer is in one of them. A detector without layers has one without layers.
+        Raises
+        ------
+        DetectorError
+            With every problem of the readout.
 
         Examples
         --------
-        >>> [(group.readout.name, group.numbers) for group in cg.load("besiii-pixel").groups(cg.TigerReadout())]
+        >>> det = cg.load("besiii-cgem").with_readout("tiger")
+        >>> det.cgem["L1"].readout.threshold_x  # fC
+        2.0
+        """
+        return replace_readout(self, readout)
+
+    @property
+    def groups(self) -> tuple[ReadoutGroup, ...]:
+        """The layers by their readout, by the innermost layer of each; every layer is in one of them.
+
+        A detector without layers has one group without layers.
+
+        Examples
+        --------
+        >>> det = cg.load("besiii-pixel").with_readout("tiger")
+        >>> [(group.readout.name, group.numbers) for group in det.groups]
         [('positions', (0,)), ('tiger', (1, 2, 3))]
         """
-        cgem = cgem_numbers(self)
-        others = tuple(number for number in range(len(self.layers)) if number not in cgem)
-        if not others:
-            return (ReadoutGroup(self, readout, cgem),)
-        found = [ReadoutGroup(self, POSITIONS, others), *([ReadoutGroup(self, readout, cgem)] if cgem else [])]
-        return tuple(sorted(found, key=lambda group: group.numbers))
+        return _groups(self)
+
+    @property
+    def readout_text(self) -> str:
+        """Names of the readouts of the CGEM layers, such as ``tiger``, or ``tiger (L1), apv25 (L2, L3)``.
+
+        Examples
+        --------
+        >>> cg.load("besiii-cgem").with_overrides({"cgem.L1.readout": "tiger"}).readout_text
+        'tiger (L1), binary (L2, L3)'
+        """
+        labels: dict[str, list[str]] = {}
+        for layer in self.cgem:
+            labels.setdefault(layer.readout.name, []).append(layer.label)
+        if len(labels) == 1:
+            return next(iter(labels))
+        return ", ".join(f"{name} ({', '.join(layers)})" for name, layers in labels.items())
+
+
+@once
+def _groups(detector: Detector) -> tuple[ReadoutGroup, ...]:
+    """Return the groups of a detector; see `Detector.groups`."""
+    found: list[tuple[Readout, list[int]]] = []  # a readout from outside the package may have no hash
+    for number, layer in enumerate(detector.layers):
+        numbers = next((numbers for readout, numbers in found if readout == layer.readout), None)
+        if numbers is None:
+            found.append((layer.readout, [number]))
+        else:
+            numbers.append(number)
+    found = found or [(DEFAULT_READOUTS[CgemLayer], [])]
+    return tuple(ReadoutGroup(detector, readout, tuple(numbers)) for readout, numbers in found)
 
 
 @dataclass(frozen=True)
@@ -185,7 +229,7 @@ class ReadoutGroup:
 
     Examples
     --------
-    >>> pixels, cgem = cg.load("besiii-pixel").groups(cg.BinaryReadout())
+    >>> pixels, cgem = cg.load("besiii-pixel").groups
     >>> [(number, layer.label) for number, layer in cgem.items()]
     [(1, 'L1'), (2, 'L2'), (3, 'L3')]
     """
@@ -319,7 +363,7 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
     for path, value in variants.expanded(detector, overrides, problems).items():
         if path == "base":
             problems.append(Problem(path, shown(value), "a value of the detector; load another base instead"))
-        elif not set_path(variant, path, value):
+        elif not set_path(variant, path, _table_of(path, value)):
             problems.append(Problem(path, shown(value), "a value whose table is not itself overridden by a value"))
     tables = merged(export.tables_of(detector, variant), place_map(variant, None), problems)
     if "name" not in variant:
@@ -327,11 +371,31 @@ def override(detector: Detector, overrides: Mapping[str, object]) -> Detector:
     return build(detector.name, tables, problems)
 
 
+def _table_of(path: str, value: object) -> object:
+    """Return the name of a readout as a table, in which longer keys may change values; any other value as it is."""
+    is_readout = path.rpartition(".")[2] == "readout" and isinstance(value, str | Readout)
+    return readout_table(value) if is_readout else value  # type: ignore[arg-type]
+
+
 def replace_field(detector: Detector, source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector in another field; see `Detector.with_field`."""
     tables = export.tables_of(detector) | {"field": field_tables(source)}
     text = dict(source) if isinstance(source, Mapping) else Path(source).stem
     return build(detector.name, tables | {"name": variants.variant_name(detector.name, {"field": text})}, Problems())
+
+
+def replace_readout(detector: Detector, readout: Readout | str | Mapping[str, Any]) -> Detector:
+    """Return the detector with one readout of all CGEM layers; see `Detector.with_readout`."""
+    readout = readout_of(readout)
+    if all(layer.readout == readout for layer in detector.cgem):
+        return detector
+    return _with_readout(detector, readout)
+
+
+@once
+def _with_readout(detector: Detector, readout: Readout) -> Detector:
+    layers = Labelled(replace(layer, readout=readout) for layer in detector.cgem)
+    return replace(detector, cgem=layers)
 
 
 def bounds(detector: Detector, key: str) -> tuple[float, float]:

@@ -31,6 +31,7 @@ from cgemit.detector.parts import (
     Layer,
     MeasurementLayer,
     RatePoint,
+    Readout,
     Shell,
     SubLayer,
     Superlayer,
@@ -47,6 +48,7 @@ from cgemit.detector.reader import (
     WIRE_NUMBER,
     strip_text,
 )
+from cgemit.detector.readouts import DEFAULT_READOUTS, READOUTS
 from cgemit.units import NATIVE, format_quantity, units_of
 
 
@@ -301,8 +303,10 @@ def _table(part: Any) -> dict[str, Any]:
 
 
 def _value(value: Any, kind: str) -> Any:
-    if value is None:
+    if value is None or value in DEFAULT_READOUTS.values():
         return None
+    if isinstance(value, Readout):
+        return _readout(value)
     if isinstance(value, Material):
         return value.name
     if isinstance(value, DensityEffect):
@@ -322,6 +326,16 @@ def _value(value: Any, kind: str) -> Any:
     if kind in NATIVE and kind != "dimensionless":
         return format_quantity(value, kind)
     return value
+
+
+def _readout(readout: Readout) -> str | dict[str, Any]:
+    """Return a readout as a file states it: its name, and what differs from its defaults."""
+    kind: Any = type(readout)
+    keys = keys_of(kind)
+    stated = {
+        name: _value(value, keys[name].kind) if name in keys else value for name, value in readout.stated().items()
+    }
+    return stated if len(stated) > 1 else readout.name
 
 
 def _sub_layer(part: SubLayer) -> dict[str, Any]:
@@ -373,6 +387,7 @@ def _top(complete: bool) -> dict[str, Any]:
         "materials": _labelled(_material()),
         "name": {"pattern": f"^{NAME}$"},
         "remove": {"type": "array", "items": {"type": "string"}},
+        "readout": {"type": ["string", "object"], **_schema_value(keys_of(CgemLayer)["readout"])},
     }
     properties = {
         name: {"type": "string", **kinds.get(name, {}), "description": doc} for name, doc in TOP_LEVEL.items()
@@ -461,7 +476,10 @@ def _schema_value(key: Key) -> dict[str, Any]:
         angle = _quantity(replace(key, kind="angle"), limits)
         rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": angle}
         return {"description": key.doc, "anyOf": [angle, rows]}
+    if key.kind == "readout":
+        return {"description": key.doc, "anyOf": [{"type": "string"}, _schema_readout()]}
     kinds: dict[str, dict[str, Any]] = {
+        "setting": {},
         "integer": {"type": "integer", **limits},
         "sign": {"enum": [-1, 1]},
         "boolean": {"type": "boolean"},
@@ -488,6 +506,13 @@ def _schema_value(key: Key) -> dict[str, Any]:
         },
     }
     return {"description": key.doc, **kinds[key.kind]}
+
+
+def _schema_readout() -> dict[str, Any]:
+    kinds: list[Any] = list(READOUTS.values())
+    keys = {name: key for kind in kinds for name, key in keys_of(kind).items()}
+    properties = {"name": {"type": "string"}} | {name: _schema_value(key) for name, key in keys.items()}
+    return {"type": "object", "properties": properties, "additionalProperties": False}
 
 
 def _grid(limits: dict[str, float]) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from functools import cache, wraps
 from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
-from cgemit.base.validate import Quantity
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Quantity, constraint_of, expected, kinds_of
 from cgemit.units import NATIVE, describe, parse_quantity
 
 _P = TypeVar("_P", bound="Part")
@@ -70,7 +71,10 @@ class Key(Quantity):
         """Return the allowed values as text."""
         if self.choices:
             return "one of " + ", ".join(f'"{choice}"' for choice in self.choices)
+        if self.kind == "setting":
+            return self.doc
         texts = {
+            "readout": "the name of a readout, or a table with name and what differs from its defaults",
             "integer": "a whole number",
             "boolean": "true or false",
             "sign": "1 or -1",
@@ -129,13 +133,25 @@ def _opened(part: Part) -> dict[str, Known]:
 
 @cache
 def keys_of(kind: Any) -> dict[str, Key]:
-    """Return the keys of a dataclass by name, in the order of its fields."""
+    """Return the keys of a dataclass by name, in the order of its fields: those of settings by their annotations."""
+    if issubclass(kind, SettingsData):
+        return {name: _key_of(one) for name, one in kinds_of(kind).items()}
     return {f.name: f.metadata["key"] for f in dataclasses.fields(kind) if "key" in f.metadata}
+
+
+def _key_of(kind: Any) -> Key:
+    """Return the key of a setting: a quantity, or what only its class can check."""
+    found = constraint_of(kind)
+    if found is not None and found.kind in NATIVE:
+        return Key(found.kind, found.low, found.high, found.above)
+    return Key("setting", doc=expected(kind))
 
 
 @cache
 def required_of(kind: Any) -> frozenset[str]:
     """Return the names of the keys that have neither a default nor a rule to derive them."""
+    if issubclass(kind, SettingsData):
+        return frozenset()  # whose class tells what it lacks
     missing = dataclasses.MISSING
     fields = [f for f in dataclasses.fields(kind) if "key" in f.metadata]
     return frozenset(f.name for f in fields if f.default is missing and not f.metadata["key"].derived)

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from html import escape
 from itertools import accumulate, chain
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, SupportsIndex, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, SupportsIndex, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.errors import did_you_mean
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import default_of
 from cgemit.detector.field import Field
 from cgemit.detector.keys import Part, key, once
 from cgemit.detector.material import Material
@@ -240,6 +242,33 @@ class SubLayer(Part):
 StripRanges = tuple[tuple[int, int, int], ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Readout(SettingsData, Part):
+    """Electronics of a layer, and what is made of their signals: a frozen dataclass of settings (`readouts`).
+
+    Attributes
+    ----------
+    name : str
+        Under which `cgemit.detector.readouts.READOUTS` holds the class.
+    makes : str
+        What its digis are: strips, or positions.
+    """
+
+    name: ClassVar[str]
+    makes: ClassVar[Literal["strips", "positions"]] = "strips"
+
+    @property
+    def least_electrons(self) -> int:
+        """Electrons of ionization in a gap below which a crossing has no clusters; 0: clusters need none."""
+        return 1
+
+    def stated(self) -> dict[str, Any]:
+        """Return the name, and the values that differ from their defaults, by key."""
+        found = {one.name: getattr(self, one.name) for one in fields(self)}
+        usual = {one.name: default_of(one) for one in fields(self)}
+        return {"name": self.name} | {name: value for name, value in found.items() if value != usual[name]}
+
+
 class MeasuringCylinder(Placed):
     """What the layers that measure have in common: a readout surface with views X and V, and the matter around it.
 
@@ -372,6 +401,12 @@ class CgemLayer(MeasuringCylinder):
     gain_map: tuple[tuple[tuple[float, ...], ...], ...] = field(
         metadata=key("gains", "gain of each sheet, relative to that of the readout", 0.01, 100.0), default=()
     )
+    readout: Readout = field(
+        metadata=key(
+            "readout", "name of the readout, or a table with its name and what differs from its defaults", derived=True
+        ),
+        hash=False,
+    )  # one from outside the package may have no hash
 
     error_slope: ClassVar[float] = 0.0  # of `MeasurementLayer`; a readout has errors of its own
 
@@ -386,7 +421,7 @@ class CgemLayer(MeasuringCylinder):
         return (
             f"r = {self.r_mid:.2f} mm (mid drift gap of {self.drift_gap:g} mm), length {self.length:g} mm, "
             f"{self.sheets} x ({self.strips_x} X + {self.strips_v} V) strips, "
-            f"stereo {math.degrees(self.stereo):+.2f} deg{self.moved_text()}"
+            f"stereo {math.degrees(self.stereo):+.2f} deg, readout {self.readout.name}{self.moved_text()}"
         )
 
     @property
@@ -481,6 +516,12 @@ class MeasurementLayer(MeasuringCylinder):
     )
     efficiency: float = field(metadata=key("dimensionless", "probability of a hit", 0.0, 1.0), default=1.0)
     sigma_time: float = field(metadata=key("time", "error of the time of a hit", 0.0, 1e6), default=0.0)
+    readout: Readout = field(
+        metadata=key(
+            "readout", "name of the readout, or a table with its name and what differs from its defaults", derived=True
+        ),
+        hash=False,
+    )  # one from outside the package may have no hash
 
     # One sheet around the beam, as a CGEM layer without seams, dead and hot strips.
     sheets: ClassVar[int] = 1

@@ -10,11 +10,12 @@ from functools import cache
 from itertools import pairwise
 from typing import Any
 
-from cgemit.base.errors import Problem, Problems, did_you_mean, joined, shown
-from cgemit.base.validate import NO, entries
+from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, joined, shown
+from cgemit.base.validate import NO, entries, owner_of
 from cgemit.detector.keys import CELLS, CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import CgemLayer, MeasurementLayer, RatePoint, SubLayer
+from cgemit.detector.parts import CgemLayer, Layer, MeasurementLayer, RatePoint, Readout, SubLayer
+from cgemit.detector.readouts import DEFAULT_READOUTS, OF_LAYERS, READOUTS
 from cgemit.units import NATIVE
 
 #: Sheet and strips of a list of strips.
@@ -51,6 +52,7 @@ TOP_LEVEL = {
     "beam_pipe": "cylinders of the beam pipe by label",
     "cgem": "CGEM layers by label",
     "layer": "other layers that measure positions, by label",
+    "readout": "readout of the CGEM layers that state none: a name, or a table; in a variant, of all of the base's",
     "walls": "further cylinders by label",
     "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, signal_speed, readout_end hold for "
     "layers without their own, half_length for superlayers without their own",
@@ -235,6 +237,32 @@ class Reader:
             self.note(path, f"a list of {len(raw)}", key.expected())
         return tuple(points)
 
+    def _readout(self, path: str, raw: object, key: Key) -> Any:
+        kind = MeasurementLayer if path.startswith("layer.") else CgemLayer
+        return self.readout(path, raw, kind)
+
+    def readout(self, path: str, raw: object, kind: type[Layer]) -> Readout:
+        """Return the readout of a kind of layers; the usual one after noting what is wrong."""
+        known, usual, before = OF_LAYERS[kind], DEFAULT_READOUTS[kind], len(self.problems)
+        table = {"name": usual.name} | readout_table(raw) if isinstance(raw, str | Mapping | Readout) else {"name": raw}
+        name = plain(table.pop("name"))
+        if not isinstance(name, str) or name not in known:
+            self.note(path, shown(name), "one of " + ", ".join(known), did_you_mean(name, known))
+            return usual
+        cls: Any = known[name]
+        keys = keys_of(cls)
+        table = dict(entries(table, path, keys, self.problems, lambda one: owner_of(one, cls, known)))
+        values = self.table(path, table, cls, keys=keys)
+        if len(self.problems) == before:
+            try:
+                return cls(**values)  # type: ignore[no-any-return]
+            except ValueError as error:  # of a class from outside the package, too
+                self.problems.take(error, path)
+        return usual
+
+    def _setting(self, _path: str, raw: object, _key: Key) -> Any:
+        return raw  # its class checks it
+
     def _composition(self, path: str, raw: object, key: Key) -> Any:
         if isinstance(raw, str):
             try:
@@ -375,6 +403,76 @@ FOR_ALL_LAYERS = {
     "readout_end": ("readout_end",),
 }
 
+
+def readout_of(given: Readout | str | Mapping[str, Any]) -> Readout:
+    """Return a readout of CGEM layers.
+
+    Parameters
+    ----------
+    given : Readout, str or mapping
+        A name stands for the readout with its defaults; a mapping is a table as in a detector file.
+
+    Raises
+    ------
+    DetectorError
+        With every problem: no such readout, one whose class is not registered, or wrong values.
+    """
+    if isinstance(given, Readout) and READOUTS.get(given.name) is type(given):
+        return given
+    reader = Reader()
+    if isinstance(given, Readout):
+        kind = type(given).__name__
+        hint = f"cgemit.register_readout({kind}, ...) registers it"
+        reader.note("readout", f"{kind}(...)", "one of " + ", ".join(READOUTS), hint)
+    found = reader.readout("readout", given, CgemLayer) if not reader.problems else DEFAULT_READOUTS[CgemLayer]
+    reader.problems.report("readout", DetectorError)
+    return found
+
+
+def readout_table(given: str | Mapping[str, Any] | Readout | Known) -> dict[str, Any]:
+    """Return a readout as a table of its name and values: a name alone, or a readout read before, states all of them.
+
+    Parameters
+    ----------
+    given : str, mapping, Readout or Known
+        As a file may state it; of a name that is not known only the name comes back.
+    """
+    given = plain(given)
+    if isinstance(given, str) and given in READOUTS:
+        given = READOUTS[given]()
+    if isinstance(given, Readout):
+        return {"name": given.name, **opened(given)}
+    return dict(given) if isinstance(given, Mapping) else {"name": given}
+
+
+def laid_readout(below: Any, above: Any) -> Any:
+    """Return a readout of which another one changes some values, or takes the place if its name differs."""
+    above = above if _is_other(above) else readout_table(above)
+    if below is None or not isinstance(above, dict) or _is_other(below):
+        return above
+    below = readout_table(below)
+    return above if plain(above.get("name", below.get("name"))) != plain(below.get("name")) else below | above
+
+
+def _is_known(raw: Any) -> bool:
+    return not _is_other(raw) and plain(readout_table(raw).get("name", "")) in ("", *READOUTS)
+
+
+def _is_other(raw: Any) -> bool:
+    """Return whether a value of a file is neither the name of a readout nor a table."""
+    return not isinstance(plain(raw), str | Mapping | Readout)
+
+
+def spread_readout(tables: dict[str, Any]) -> None:
+    """Lay the readout of each CGEM layer of a file over that of the top level, which holds for those without."""
+    if "readout" in tables and _is_known(tables["readout"]):
+        for label in (layers := _tables(tables, "cgem")):
+            layer = layers[label] = opened(layers[label])
+            if isinstance(layer, dict) and "like" not in layer:
+                own = layer.get("readout")
+                layer["readout"] = tables["readout"] if own is None else laid_readout(tables["readout"], own)
+
+
 #: Key of a drift chamber whose layers have been made of its superlayers.
 GENERATED = "<generated>"
 
@@ -392,9 +490,11 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
             variant = {**variant, group: {k: v for k, v in variant[group].items() if k not in copies[group]}}
     result: dict[str, Any] = _copied(base, open_parts="materials" in variant)
     _remove(result, variant.get("remove", []), problems)
+    variant = _lay_readout(result, variant)
     for group, drop in _DROPS.items():
         for label, layer in _tables(variant, group).items():
             if isinstance(layer, Mapping):
+                _lay_own_readout(_open(_tables(result, group), label), layer)
                 drop(_open(_tables(result, group), label), layer)
     _drop_field(result, _tables(variant, "field"))
     _drop_wires(_tables(result, "drift_chamber"), variant)
@@ -403,6 +503,31 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
         for label, layer in layers.items():
             _copy_layer(result.setdefault(group, {}), group, label, layer, problems)
     return result
+
+
+def _lay_readout(base: dict[str, Any], variant: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Give the base's CGEM layers the readout of the top level: the base's where they have none, then the variant's.
+
+    What is left of the variant is returned. The top level of the result is for layers that the base does not have.
+    """
+    spread_readout(base)
+    layers = _tables(base, "cgem")
+    if "readout" not in variant or not _is_known(variant["readout"]) or not layers:
+        return variant  # it is noted once, where it is read
+    for label in layers:
+        layer = layers[label] = opened(layers[label])
+        if isinstance(layer, dict):
+            layer["readout"] = laid_readout(layer.get("readout"), variant["readout"])
+    top = laid_readout(base.get("readout"), variant["readout"])
+    if "name" in top:  # otherwise it changes values of readouts of the base
+        base["readout"] = top
+    return {name: value for name, value in variant.items() if name != "readout"}
+
+
+def _lay_own_readout(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+    """Lay the readout of a layer of the variant over that of the base, which it then replaces."""
+    if "readout" in variant:
+        base["readout"] = laid_readout(base.get("readout"), variant["readout"])
 
 
 def _copied(tree: Any, *, open_parts: bool = False) -> Any:
@@ -435,6 +560,7 @@ def _copy_layer(
         return
     layer = _copied(opened(layers[like]))
     own = {name: value for name, value in changes.items() if name != "like"}
+    _lay_own_readout(layer, own)
     _DROPS[group](layer, own)
     _lay_over(layer, own, label)
     layers[label] = layer

@@ -16,22 +16,23 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, NotNegative, Positive
-from cgemit.detector.parts import Layer, MeasurementLayer
+from cgemit.base.validate import Check, Quantity
+from cgemit.detector.parts import CgemLayer, Layer, MeasurementLayer, Readout
 from cgemit.units import parse_quantity
 
 Floats = npt.NDArray[np.float64]
 
-Share = Annotated[float, Check(lambda value: 0 <= value < 1, "a number from 0 to 1, 1 excluded")]
+Share = Annotated[float, Quantity("dimensionless", 0.0, 0.99)]
 # An avalanche of 1e8 electrons is a discharge (Raether's limit).
-Gain = Annotated[float, Check(lambda value: 0 < value <= 1e8, "a number above 0 and up to 1e8")]
-Width = Annotated[float, Check(lambda value: 0 < value <= 1000, "a number above 0 and up to 1000 mm")]
+Gain = Annotated[float, Quantity("dimensionless", 0.0, 1e8, above=True)]
+Width = Annotated[float, Quantity("length", 0.0, 1000.0, above=True)]
 # Of a strip and of a time, to far beyond any chip.
-Noise = Annotated[float, Check(lambda value: 0 <= value <= 1000, "0 to 1000 fC")]
-Jitter = Annotated[float, Check(lambda value: 0 <= value <= 10_000, "0 to 10000 ns")]
-Probability = Annotated[float, Check(lambda value: 0 < value <= 1, "a number above 0 and up to 1")]
-Factor = Annotated[float, Check(lambda value: 0 <= value <= 10, "a number from 0 to 10")]
+Noise = Annotated[float, Quantity("charge", 0.0, 1000.0)]
+Threshold = Annotated[float, Quantity("charge", 0.0, 1e6, above=True)]
+Jitter = Annotated[float, Quantity("time", 0.0, 10_000.0)]
+Margin = Annotated[float, Quantity("time", 0.0, 1e6, above=True)]
+Probability = Annotated[float, Quantity("dimensionless", 0.0, 1.0, above=True)]
+Factor = Annotated[float, Quantity("dimensionless", 0.0, 10.0)]
 Missing = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
 Estimator = Literal["merged", "centroid", "micro-tpc"]
 
@@ -43,18 +44,6 @@ SURVIVAL = 0.957 * 0.962
 ELECTRON = parse_quantity("1 e", "charge")
 """fC."""
 _FINE = 0.01  # ns, step in which peaks are searched
-
-
-@dataclass(frozen=True, kw_only=True)
-class Readout(SettingsData):
-    """Description of a readout: a frozen dataclass of settings. `READOUTS` finds it by its name."""
-
-    name: ClassVar[str]
-
-    @property
-    def least_electrons(self) -> int:
-        """Electrons of ionization in a gap below which a crossing has no clusters; 0: clusters need none."""
-        return 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +76,7 @@ class BinaryReadout(Readout):
     name: ClassVar[str] = "binary"
 
     gain: Gain = GAIN
-    threshold: NotNegative = 1.7
+    threshold: Annotated[float, Quantity("charge", 0.0, 1e6)] = 1.7
 
     @property
     def least_electrons(self) -> int:
@@ -109,6 +98,7 @@ class PositionReadout(Readout):
     """No strips: positions X and V, with the errors, the efficiency and the time of each layer (`[layer.NAME]`)."""
 
     name: ClassVar[str] = "positions"
+    makes: ClassVar[Literal["strips", "positions"]] = "positions"
 
     @property
     def least_electrons(self) -> int:
@@ -145,8 +135,8 @@ class PositionReadout(Readout):
         raise ValueError(f"readout {self.name}: got CGEM layer {layer.label}, expected a layer with errors of its own")
 
 
-#: Of all layers `[layer.NAME]`.
-POSITIONS = PositionReadout()
+#: Readout of a layer that states none, by the kind of the layer.
+DEFAULT_READOUTS: dict[type[Layer], Readout] = {CgemLayer: BinaryReadout(), MeasurementLayer: PositionReadout()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +247,7 @@ class ProjectionReadout(Readout):
     --------
     >>> gun = cg.Gun("mu-", p=1.0, cos_theta=0.0)
     >>> result = cg.run("besiii-cgem-design", gun, n=5, readout=cg.ProjectionReadout(noise=0.8), until="digitize")
-    >>> result.settings.digitize.readout.noise, bool((result.digis["charge"] > 0).all())
+    >>> result.detector.cgem["L1"].readout.noise, bool((result.digis["charge"] > 0).all())
     (0.8, True)
     """
 
@@ -267,7 +257,7 @@ class ProjectionReadout(Readout):
 
     gain: Gain = GAIN
     sigma: Width = 0.29
-    threshold: Positive = 1.7
+    threshold: Threshold = 1.7
     noise: Noise = 0.5
     valley: Share = 0.4
     estimator: Literal["centroid"] = "centroid"
@@ -469,7 +459,7 @@ class AnalogReadout(Readout):
     errors: ClassVar[ChipErrors | None] = None
 
     gain: Gain = GAIN
-    polya: NotNegative = 0.36
+    polya: Annotated[float, Quantity("dimensionless", 0.0, 1e6)] = 0.36
     gain_fluctuation: bool = True
     survival: Probability = SURVIVAL
     first_gain: Gain = 15.0
@@ -477,17 +467,17 @@ class AnalogReadout(Readout):
     lorentz: bool = True
     holes: bool = True
     share_spread: Factor = 0.1
-    threshold_x: Positive = 2.0
-    threshold_v: Positive = 2.0
+    threshold_x: Threshold = 2.0
+    threshold_v: Threshold = 2.0
     noise: Noise = 0.5
     jitter: Jitter = 2.0
     missing: Missing = 1
     edge: Share = 0.1
     valley: Share = 0.2
-    time_margin: Positive = 50.0
+    time_margin: Margin = 50.0
     estimator: Estimator = "merged"
     second_pass: bool = False
-    saturation: Positive = 48.0
+    saturation: Threshold = 48.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -522,11 +512,11 @@ class Apv25Readout(AnalogReadout):
     name: ClassVar[str] = "apv25"
     chip: ClassVar[Chip] = APV25
 
-    threshold_x: Positive = 1.67
-    threshold_v: Positive = 1.67
+    threshold_x: Threshold = 1.67
+    threshold_v: Threshold = 1.67
     jitter: Jitter = 7.12
-    time_margin: Positive = 100.0
-    saturation: Positive = 60.0
+    time_margin: Margin = 100.0
+    saturation: Threshold = 60.0
 
 
 #: Those that measure the charge of strips (`cgemit.reconstruction.cluster_errors`).
@@ -536,6 +526,11 @@ ChargeReadout = AnalogReadout | ProjectionReadout
 READOUTS: dict[str, type[Readout]] = {
     one.name: one for one in (BinaryReadout, GaussianReadout, TigerReadout, Apv25Readout, ProjectionReadout)
 }
+
+#: Readouts of each kind of layers by name.
+OF_LAYERS: dict[type[Layer], Mapping[str, type[Readout]]] = {
+    CgemLayer: READOUTS, MeasurementLayer: {PositionReadout.name: PositionReadout},
+}  # fmt: skip
 
 Part = TypeVar("Part")
 

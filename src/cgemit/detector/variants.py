@@ -14,8 +14,9 @@ from typing import Any
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.detector.keys import CELLS, Key, Known, Part, keys_of, once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, MeasurementLayer, SubLayer
+from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, MeasurementLayer, Readout, SubLayer
 from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
+from cgemit.detector.readouts import DEFAULT_READOUTS
 from cgemit.units import NATIVE
 
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"
@@ -186,6 +187,8 @@ def _children(node: Any) -> Mapping[str, Any]:
 def _values(part: Part) -> dict[str, Any]:
     kind: Any = type(part)
     values = {name: getattr(part, name) for name in keys_of(kind)}
+    if isinstance(part, Readout):
+        values["name"] = part.name
     if isinstance(part, DriftChamber):
         values["layers"] = {str(layer.number): layer for layer in part.layers}
         values["superlayers"] = {one.label: one for one in part.superlayers}
@@ -338,6 +341,9 @@ def _digest(part: Part) -> str:
         value = getattr(part, name)
         if type(value) is float:
             values.append(f"{name}={value!r}")
+        elif isinstance(value, Readout):
+            if value not in DEFAULT_READOUTS.values():
+                values.append(f"{name}={value.stated()!r}")
         elif name != "file" and value not in ((), None):  # a map's checksum tells more; as before lists and shifts
             values.append(f"{name}={_text(value)}")
     return hashlib.sha256("\n".join(values).encode()).hexdigest()

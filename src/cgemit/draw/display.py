@@ -77,7 +77,7 @@ def event(result: Result, number: int = 0) -> Picture:
     """
     view = view_of(result, number)
     detector = view.detector
-    readout = f", readout {result.settings.digitize.readout.name}" if detector.cgem else ""
+    readout = f", readout {detector.readout_text}" if detector.cgem else ""
     finder = f", finder {result.finder}" if result.finder not in (None, "truth") else ""
     whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {view.shot()}"
     # Lines end behind a particle only.

@@ -9,14 +9,13 @@ from typing import Any
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.channels import checked
 from cgemit.detector.gas import most_lost
+from cgemit.detector.parts import Readout
 from cgemit.detector.readouts import (
-    READOUTS,
     AnalogReadout,
     BinaryReadout,
     ChargeReadout,
     PositionReadout,
     ProjectionReadout,
-    Readout,
     names_of,
     part_of,
 )
@@ -36,23 +35,18 @@ CLUSTERERS: dict[type[Readout], type[Clusterer]] = {
 }
 
 
-def clusterer_of(readout: Readout | str) -> Clusterer:
+def clusterer_of(readout: Readout) -> Clusterer:
     """Return the clusterer of a readout.
 
     Parameters
     ----------
-    readout : Readout or str
-        A name stands for the readout with its defaults.
+    readout : Readout
 
     Raises
     ------
     ValueError
-        If there is no such readout.
+        If there is none.
     """
-    if isinstance(readout, str):
-        if readout not in READOUTS:
-            raise ValueError(f"readout: got {readout!r}, expected one of {names_of()}")
-        readout = READOUTS[readout]()
     return part_of(readout, CLUSTERERS)(readout)
 
 
@@ -78,19 +72,14 @@ def charge_clusterer(readout: ChargeReadout) -> ChargeClusterer:
 _LOSS_OF_A_WARNING = 0.01
 
 
-def warn_of_losses(detector: Detector, readout: Readout) -> None:
+def warn_of_losses(detector: Detector) -> None:
     """Warn of layers whose gaps are so thin that crossings have no clusters for lack of electrons.
 
     Parameters
     ----------
     detector : Detector
-    readout : Readout
     """
-    lost = [
-        (layer, most_lost(layer, group.readout.least_electrons))
-        for group in detector.groups(readout)
-        for layer in group.cgem
-    ]
+    lost = [(layer, most_lost(layer, layer.readout.least_electrons)) for layer in detector.cgem]
     thin = [
         f"{layer.label} {loss:.0%} (drift_gap {layer.drift_gap:g} mm)"
         for layer, loss in lost
@@ -98,7 +87,7 @@ def warn_of_losses(detector: Detector, readout: Readout) -> None:
     ]
     if thin:
         warnings.warn(
-            f"{detector.name}: crossings without clusters of readout {readout.name}, for lack of "
+            f"{detector.name}: crossings without clusters of readout {detector.readout_text}, for lack of "
             f"ionization: {', '.join(thin)}; readout gaussian needs none",
             stacklevel=3,
         )
@@ -110,7 +99,7 @@ def cluster(
     digis: Table,
     settings: ClusterSettings | None = None,
     *,
-    readout: Readout | str = "binary",
+    readout: Readout | str | Mapping[str, Any] | None = None,
     directions: Floats | None = None,
     clusters: Table | None = None,
 ) -> Table:
@@ -122,9 +111,9 @@ def cluster(
     digis : Table
         Of kind ``digis``.
     settings : ClusterSettings or None
-    readout : Readout or str
-        With which the digis were made, such as ``TigerReadout(estimator="centroid")``. Its name alone stands for the
-        readout with its defaults.
+    readout : Readout, str, mapping or None
+        Of all CGEM layers, instead of those of the detector, such as ``TigerReadout(estimator="centroid")``: the one
+        with which the digis were made.
     directions : (clusters, 2) float64 or None
         Of fitted tracks, see `Clusterer.cluster`.
     clusters : Table or None
@@ -145,21 +134,23 @@ def cluster(
     Examples
     --------
     >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.0), n=5)
-    >>> clusters = cg.cluster(r.detector, r.digis, readout="binary")
+    >>> clusters = cg.cluster(r.detector, r.digis)
     >>> len(clusters) == len(r.clusters), np.unique(clusters["view"]).tolist()
     (True, [0, 1, 2])
     """
-    clusterer, detector, settings = clusterer_of(readout), load(detector), ClusterSettings.of(settings)
+    detector, settings = load(detector), ClusterSettings.of(settings)
+    if readout is not None:
+        detector = detector.with_readout(readout)
 
     def of_group(group: ReadoutGroup, digis: Table, directions: Floats | None) -> Table:
         found = clusterer_of(group.readout).cluster(group, digis, settings, directions)
         return made_by(f"readout {group.readout.name}", "clusters", found, digis)
 
-    groups = detector.groups(clusterer.readout)
+    groups = detector.groups
     if len(groups) == 1:
         return of_group(groups[0], digis, directions)
     if directions is None:
         return merged([of_group(group, digis[group.owns(digis)], None) for group in groups])
     if clusters is None:
-        clusters = cluster.unchecked(detector, digis, settings, readout=clusterer.readout)
+        clusters = cluster.unchecked(detector, digis, settings)
     return merged([of_group(group, digis[group.owns(digis)], directions[group.owns(clusters)]) for group in groups])

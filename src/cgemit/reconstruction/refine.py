@@ -22,7 +22,6 @@ from cgemit.base.validate import Check
 from cgemit.detector import Detector
 from cgemit.detector.drift import _of_layers, propagation_time, shifted, velocity_at
 from cgemit.detector.parts import local_v
-from cgemit.detector.readouts import Readout
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import cluster
@@ -285,22 +284,18 @@ class ClusterDirection(Refinement):
 
     Parameters
     ----------
-    readout : Readout
-        With which the clusters were made; its clusterer follows tracks.
     settings : ClusterSettings
     """
 
-    def __init__(self, readout: Readout, settings: ClusterSettings) -> None:
-        self._readout, self._settings = readout, settings
+    def __init__(self, settings: ClusterSettings) -> None:
+        self._settings = settings
 
     def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
         """Make the clusters on good tracks again; the others are as before."""
         if hits.digis is None:
             raise ValueError("reconstruct: got no digis, expected the strips of the clusters, which are made again")
         directions = track_directions(detector, len(hits.clusters), turn.states)
-        again = cluster.unchecked(
-            detector, hits.digis, self._settings, readout=self._readout, directions=directions, clusters=hits.clusters
-        )
+        again = cluster.unchecked(detector, hits.digis, self._settings, directions=directions, clusters=hits.clusters)
         return replace(hits, clusters=again)
 
 

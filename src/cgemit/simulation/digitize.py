@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import check_numbers, one_of
+from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, ReadoutGroup, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.detector.core import in_dead_area, strip_lists
@@ -21,14 +21,12 @@ from cgemit.detector.drift import (
     propagation_time,
     shifted,
 )
-from cgemit.detector.parts import Layer, seen_by
+from cgemit.detector.parts import Layer, Readout, seen_by
 from cgemit.detector.readouts import (
-    READOUTS,
     AnalogReadout,
     BinaryReadout,
     PositionReadout,
     ProjectionReadout,
-    Readout,
     part_of,
 )
 from cgemit.simulation.digitizers import (
@@ -119,12 +117,10 @@ DIGITIZERS: dict[type[Readout], type[Digitizer]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class DigitizeSettings(SettingsData):
-    """How CGEM layers and wires are read out.
+    """How hits of wires are made; layers that make clusters have a readout (`cgemit.Detector`).
 
     Attributes
     ----------
-    readout : Readout
-        Readout of the CGEM layers: a name, or an object such as ``BinaryReadout(gain=8000)``.
     reveal_sides : bool
         Whether wire hits hold the true side of the wire.
     wire_times : str
@@ -138,20 +134,12 @@ class DigitizeSettings(SettingsData):
 
     Examples
     --------
-    >>> settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian", wire_times="raw"))
-    >>> settings.digitize.readout
-    GaussianReadout(sigma_x=0.1387, sigma_v=0.1327, gain=12000.0)
+    >>> cg.Settings(digitize=cg.DigitizeSettings(wire_times="raw")).digitize
+    DigitizeSettings(reveal_sides=False, wire_times='raw')
     """
 
-    readout: Readout = field(default_factory=BinaryReadout, metadata=one_of(READOUTS, "cgemit.register_readout"))
     reveal_sides: bool = False
     wire_times: Literal["corrected", "raw"] = "corrected"
-
-    if TYPE_CHECKING:  # a name is accepted, too, and never kept
-
-        def __init__(
-            self, *, readout: Readout | str = ..., reveal_sides: bool = ..., wire_times: str = ...
-        ) -> None: ...
 
 
 def digitizer_of(readout: Readout) -> Digitizer:
@@ -174,7 +162,7 @@ def digitize(
     *,
     steps: Table | None = None,
 ) -> dict[str, Table]:
-    """Read out the CGEM layers and the wires; dead strips give no digis.
+    """Read out all layers, each by its readout, and the wires; dead strips give no digis.
 
     Parameters
     ----------
@@ -215,7 +203,7 @@ def digitize(
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     truths, steps = in_layer_axes(detector, truths, steps)
-    digis = _digis(detector, settings.readout, truths, steps, seed)
+    digis = _digis(detector, truths, steps, seed)
     return {
         "wire_hits": read_out_wires(
             detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed, raw=settings.wire_times == "raw"
@@ -224,14 +212,14 @@ def digitize(
     }
 
 
-def _digis(detector: Detector, readout: Readout, truths: Table, steps: Table, seed: int) -> Table:
+def _digis(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
     """Return the digis of all layers, group by group."""
 
     def read(group: ReadoutGroup, truths: Table, steps: Table) -> Table:
         digis = digitizer_of(group.readout).digitize(group, truths, steps, seed)
         return made_by(f"readout {group.readout.name}", "digis", digis, truths)
 
-    groups = detector.groups(readout)
+    groups = detector.groups
     if len(groups) == 1:
         return read(groups[0], truths, steps)
     found = []

@@ -13,13 +13,13 @@ from cgemit.detector import ReadoutGroup, compiled
 from cgemit.detector.core import gain_table
 from cgemit.detector.gas import drift_columns, w_values
 from cgemit.detector.induction import WAY, induced_charges
+from cgemit.detector.parts import Readout
 from cgemit.detector.readouts import (
     AnalogReadout,
     BinaryReadout,
     PositionReadout,
     Precision,
     ProjectionReadout,
-    Readout,
     chip_arguments,
 )
 from cgemit.tables import Table

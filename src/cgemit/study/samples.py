@@ -136,7 +136,7 @@ def _run(order: Order, threads: int | None, progress: Callable[[float], None] | 
         order.seed,
         settings=order.settings,
         finder=order.finder,
-        keep=[name for name in tables_made("fit", order.settings) if name not in _LEFT_OUT],
+        keep=[name for name in tables_made("fit", order.settings, order.detector) if name not in _LEFT_OUT],
         progress=progress,
         workers=threads,
     )

@@ -244,7 +244,7 @@ class ScanBase(Shown, Tabular):
     def readout(self) -> str:
         """Readout of the CGEM layers; empty for a detector without them."""
         first = self.orders[0]
-        return str(first.settings.digitize.readout.name) if first.detector.cgem else ""
+        return first.detector.readout_text
 
     @property
     def lines(self) -> list[Line]:
@@ -765,7 +765,7 @@ def scan_analytic(
     seed : int
         Kept for the record; nothing is random.
     settings : Settings, optional
-        Of all stages; the readout, the sides of the wires and the fit enter.
+        Of all stages; the sides of the wires and the fit enter.
     threads : int, optional
         Default: all cores.
 
@@ -794,7 +794,7 @@ def scan_analytic(
         )
     p, angles = _grid(line_momenta([momentum_of(order) for order in orders]), first)
     found = analytic(
-        first.detector, first.gun.particle, p, angles, readout=digitize.readout, reveal_sides=digitize.reveal_sides,
+        first.detector, first.gun.particle, p, angles, reveal_sides=digitize.reveal_sides,
         fit=fit, threads=threads,
     )  # fmt: skip
     return AnalyticScan(tuple(orders), seed, time.perf_counter() - start, found)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import ReadoutGroup
-from cgemit.detector.readouts import Readout
+from cgemit.detector.parts import Readout
 from cgemit.tables import Table
 
 Floats = npt.NDArray[np.float64]

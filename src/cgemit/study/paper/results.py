@@ -15,6 +15,7 @@ from cgemit.analysis.widths import Resolution
 from cgemit.chain.record import versions
 from cgemit.chain.result import Result
 from cgemit.chain.settings import FinderLike, Settings, hits_text
+from cgemit.detector.parts import Readout
 from cgemit.study.paper.published import paper_values
 from cgemit.study.samples import Sample
 from cgemit.tables.show import Shown, Tabular, with_error
@@ -77,6 +78,7 @@ class Inputs:
     settings: Settings
     field: str | None = None  # None: the detectors' own
     finder: FinderLike = "truth"
+    readout: Readout | None = None  # None: the detectors' own
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -289,7 +291,7 @@ def _idc_row(sample: Sample, parameter: str, cgem: float) -> Row:
 
 
 def _readout(sample: Sample) -> str:
-    return str(sample.settings.digitize.readout.name)
+    return sample.detector.readout_text
 
 
 def _other_readout(name: str, sample: Sample, value: float, error: float) -> Row:

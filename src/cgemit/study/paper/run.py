@@ -6,10 +6,11 @@ import json
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from cgemit.analysis.quantities import MAIN
 from cgemit.base.files import SUMMARY, check_free, new_folder
@@ -18,6 +19,8 @@ from cgemit.chain import run
 from cgemit.chain.record import write_record
 from cgemit.chain.settings import FinderLike, Settings
 from cgemit.detector import Detector, load
+from cgemit.detector.parts import Readout
+from cgemit.detector.reader import readout_of
 from cgemit.particles.gun import Gun
 from cgemit.study.paper.results import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction, make_rows
 from cgemit.study.samples import (
@@ -46,6 +49,7 @@ def reproduce(
     quick: bool = False,
     pdf: bool = False,
     settings: Settings | None = None,
+    readout: Readout | str | Mapping[str, Any] | None = None,
     field: str | os.PathLike[str] | None = None,
     finder: FinderLike = "truth",
     overwrite: bool = False,
@@ -69,7 +73,9 @@ def reproduce(
     pdf : bool
         Whether to write the figures as PDF too.
     settings : Settings, optional
-        Of all stages, to try another model of matter or another readout.
+        Of all stages, to try another model of matter.
+    readout : Readout, str or mapping, optional
+        Of the CGEM layers, as of `cgemit.run`.
     field : str or path, optional
         Another magnetic field than the detectors' own (see `Detector.with_field`).
     finder : "truth", "ckf" or callable
@@ -104,7 +110,7 @@ def reproduce(
         check_free(output, overwrite=overwrite)
     inputs = Inputs(
         events, events // _SHARE, seed, threads, quick, settings or Settings(), None if field is None else str(field),
-        finder,
+        finder, None if readout is None else readout_of(readout),
     )  # fmt: skip
     if output is None:
         return _measure(inputs, progress)
@@ -118,7 +124,7 @@ def reproduce(
 
 def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     start = time.perf_counter()
-    cgem, idc = (_load(name, inputs.field) for name in DETECTORS)
+    cgem, idc = (_load(name, inputs.field, inputs.readout) for name in DETECTORS)
     thin = cgem.with_overrides({f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cgem.cgem})
     gun = Gun("mu-", p=1.0, cos_theta=COS_THETA)
     main = [
@@ -146,9 +152,10 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     return Reproduction(tuple(rows), tuple(lines), inputs, named, curve_samples, display, timings)
 
 
-def _load(name: str, field: str | None) -> Detector:
-    """Return a detector under its own name, whatever its field."""
-    return load(name) if field is None else replace(load(name).with_field(field), name=name)
+def _load(name: str, field: str | None, readout: Readout | None) -> Detector:
+    """Return a detector under its own name, whatever its field and readout."""
+    found = load(name) if field is None else replace(load(name).with_field(field), name=name)
+    return found if readout is None else found.with_readout(readout)
 
 
 def _scan_orders(detector: Detector, inputs: Inputs) -> list[Order]:

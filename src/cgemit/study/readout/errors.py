@@ -281,7 +281,7 @@ def terms(
         Whose heights the residuals have; None: those without corrections.
     """
     clusterer, inputs = charge_clusterer(readout), error_inputs(detector, readout)
-    (group,) = detector.groups(readout)
+    (group,) = detector.with_readout(readout).groups
     none = {one.name: 0.0 for one in fields(ChipErrors)}
     if heights is not None:
         none[_HEIGHT] = heights.height_by_threshold
@@ -469,7 +469,7 @@ def pulls(
         at = design(readout, 2 * number + 1)
         one = with_estimator(at.readout, estimator or readout.estimator)
         clusterer, inputs = charge_clusterer(one), error_inputs(at.detector, one)
-        (group,) = at.detector.groups(one)
+        (group,) = at.detector.with_readout(one).groups
         if errors is not None:
             inputs = inputs._replace(chip=inputs.chip | asdict(errors))
         for displaced in (0.0, _DISPLACED) if of_track else (0.0,):

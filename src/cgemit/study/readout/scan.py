@@ -184,7 +184,7 @@ def beam_views(
 def _estimates(result: Result, angle: float) -> tuple[dict[str, Measurements], int]:
     """Return the clusters of a beam by estimator, ``"track"`` with the true slope, and the number of crossings."""
     detector, digis, truths = result.detector, result.digis, result.truths
-    readout = result.settings.digitize.readout
+    readout = detector.cgem[0].readout
     assert isinstance(readout, ChargeReadout)
     if not len(truths) or not len(digis):
         raise ValueError(

@@ -79,7 +79,7 @@ class Evaluation(SettingsData):
     chunk : int or None
         Variants in one chunk.
     settings : Settings or None
-        Settings of all stages, in a file the table ``[settings]``; "analytic" uses readout and fit.
+        Settings of all stages, in a file the table ``[settings]``; "analytic" uses digitize and fit.
 
     Raises
     ------
