@@ -17,10 +17,9 @@ BZ = -1.0
 
 @pytest.fixture(scope="module")
 def run():
-    settings = cg.Settings(
-        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True), simulate=cg.SimulateSettings(decays=False)
-    )
-    return cg.run("besiii-cgem", cg.Gun("pi+", p=(0.3, 1.0), cos_theta=(-0.8, 0.8)), n=30, seed=3, settings=settings)
+    settings = cg.Settings(digitize=cg.DigitizeSettings(reveal_sides=True), simulate=cg.SimulateSettings(decays=False))
+    gun = cg.Gun("pi+", p=(0.3, 1.0), cos_theta=(-0.8, 0.8))
+    return cg.run("besiii-cgem", gun, n=30, seed=3, settings=settings, readout="gaussian")
 
 
 @pytest.fixture(scope="module")

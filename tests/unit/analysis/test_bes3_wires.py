@@ -15,7 +15,7 @@ from cgemit.detector.drift import distance_at
 
 @pytest.fixture(scope="module")
 def run():
-    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian"), simulate=cg.SimulateSettings(decays=False))
+    settings = cg.Settings(simulate=cg.SimulateSettings(decays=False))
     return cg.run("besiii-idc", cg.Gun("pi+", p=(0.4, 1.0), cos_theta=(-0.7, 0.7)), n=40, seed=3, settings=settings)
 
 

@@ -12,7 +12,6 @@ import pytest
 import cgemit as cg
 from cgemit import study
 from cgemit.base.files import OutputExistsError, check_free
-from cgemit.base.settings import SettingsError
 from cgemit.chain import executor
 from cgemit.cli.main import main
 from cgemit.cli.options import whole
@@ -258,8 +257,8 @@ def test_an_error_of_the_command_line_is_one_line(arguments, message, capsys):
     assert not captured.out
 
 
-@dataclass(frozen=True)
-class Toy:
+@dataclass(frozen=True, kw_only=True)
+class Toy(cg.BinaryReadout):
     """A readout that nobody has registered."""
 
     name: ClassVar[str] = "toy"
@@ -267,19 +266,20 @@ class Toy:
 
 def test_read_outs_that_are_not_registered():
     with pytest.raises(
-        SettingsError,
-        match=r"'binary', 'gaussian', .*; cgemit.register_readout\(Toy, ...\) registers it",
+        DetectorError,
+        match=r"binary, gaussian, .*; cgemit.register_readout\(Toy, ...\) registers it",
     ):
-        cg.DigitizeSettings(readout=Toy())
+        cg.load(DESIGN).with_readout(Toy())
 
 
 def test_settings_of_another_read_out(tmp_path, capsys):
-    (tmp_path / "mine.toml").write_text("[digitize.readout]\nsigma_x = 0.1\n")
-    assert main(["settings", "--settings", str(tmp_path / "mine.toml")]) == 2
-    assert "sigma_x: got an unknown key" in (text := capsys.readouterr().err)
+    file, base = tmp_path / "mine.toml", "base = 'besiii-cgem'\n[cgem.L1.readout]\n"
+    file.write_text(f"{base}sigma_x = '0.1 mm'\n")
+    assert main(["validate", str(file)]) == 2
+    assert "cgem.L1.readout.sigma_x: got an unknown key" in (text := capsys.readouterr().err)
     assert "it is a key of name = 'gaussian', and name is 'binary' here" in text
-    (tmp_path / "mine.toml").write_text("[digitize.readout]\nname = 'gaussian'\nsigma_x = 0.1\n")
-    assert main(["settings", "--settings", str(tmp_path / "mine.toml")]) == 0
+    file.write_text(f"{base}name = 'gaussian'\nsigma_x = '0.1 mm'\n")
+    assert main(["validate", str(file)]) == 0
 
 
 def test_runs_larger_than_the_memory_are_refused(monkeypatch, capsys):

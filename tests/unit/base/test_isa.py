@@ -234,9 +234,9 @@ def test_fit_through_a_map_is_that_of_scalar_code(field: str, name: str) -> None
 def test_analog_strips_agree_with_scalar(readout: str, name: str) -> None:
     """The same draws: charges and times to rounding, but for an electron on the border between two holes."""
     isa.use("scalar")
-    design = load("besiii-cgem-design")
-    made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, readout=readout, until="digitize", workers=1)
-    (group,) = design.groups(made.settings.digitize.readout)
+    design = load("besiii-cgem-design").with_readout(readout)
+    made = run(design, GUNS["pi- 0.15-0.4 GeV/c"], 100, seed=3, until="digitize", workers=1)
+    (group,) = design.groups
     digitizer = digitizer_of(group.readout)
 
     def strips() -> dict[str, np.ndarray]:

@@ -76,12 +76,9 @@ def test_seeds_differ(result: Result) -> None:
 
 def test_designs_share_their_noise() -> None:
     """Two designs see the same particles and scatters: the difference of a residual is far below its spread."""
-    settings = Settings(digitize=DigitizeSettings(readout="gaussian"))
-    gun = Gun("mu-", p=1.0, cos_theta=0.0)
-    a = run("besiii-cgem-design", gun, 300, seed=5, settings=settings)
-    b = run(
-        load("besiii-cgem-design").with_overrides({"cgem.L1.drift_gap": "4.9 mm"}), gun, 300, seed=5, settings=settings
-    )
+    gun, design = Gun("mu-", p=1.0, cos_theta=0.0), load("besiii-cgem-design").with_readout("gaussian")
+    a = run(design, gun, 300, seed=5)
+    b = run(design.with_overrides({"cgem.L1.drift_gap": "4.9 mm"}), gun, 300, seed=5)
     assert (a.tracks["res_dr"] - b.tracks["res_dr"]).std() < 0.2 * a.tracks["res_dr"].std()
 
 
@@ -349,7 +346,9 @@ def test_tables_to_keep_are_checked_first(nothing_runs):
 def test_the_tables_that_a_run_makes(until):
     settings = Settings(fit=cg.FitSettings(residuals=True))
     result = cg.run("besiii-idc", GUN_REFUSALS, n=2, until=until, settings=settings)
-    assert tuple(result.tables) == tuple(name for name in TABLES if name in tables_made(until, settings))
+    assert tuple(result.tables) == tuple(
+        name for name in TABLES if name in tables_made(until, settings, load("besiii-idc"))
+    )
 
 
 def test_chunks_that_do_not_fit_into_memory(tmp_path, monkeypatch):
@@ -378,7 +377,7 @@ N = 1500
 def twins():
     """Return a run with two equal particles in each event."""
     gun = Gun("mu-", p=0.5, cos_theta=0.1, phi=0.3, multiplicity=2)
-    return run(DESIGN, gun, N, seed=3, settings=Settings(digitize=DigitizeSettings(readout=GaussianReadout())))
+    return run(DESIGN, gun, N, seed=3, readout=GaussianReadout())
 
 
 def paired(table, value):

@@ -15,7 +15,7 @@ from cgemit.chain.settings import BY_STAGE
 from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import ckf
-from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -59,7 +59,6 @@ CASES: dict[str, Case] = {
     "simulate.steps": Case(True, ("steps",)),
     "simulate.decays": Case(False, ("particles", *SIMULATED)),
     "simulate.half_turns": Case(3, ("particles", *SIMULATED)),
-    "digitize.readout": Case("gaussian", DIGIS),
     "digitize.reveal_sides": Case(True, HITS),
     "digitize.wire_times": Case("raw", HITS),
     "background.level": Case("bes2009", DIGIS + HITS),
@@ -234,8 +233,8 @@ def test_settings_of_a_readout_change_what_they_are_for(name: str) -> None:
     simulated = cg.run(DESIGN, GUN, 16, 1, settings=settings, until="simulate", workers=1)
 
     def digis_of(readout: Readout) -> Table:
-        how = DigitizeSettings(readout=readout)
-        return digitize(DESIGN, simulated.truths, simulated.wire_truths, how, 1, steps=simulated.steps)["digis"]
+        detector = DESIGN.with_readout(readout)
+        return digitize(detector, simulated.truths, simulated.wire_truths, None, 1, steps=simulated.steps)["digis"]
 
     def clusters_of(readout: Readout) -> Table:
         return cluster(DESIGN, digis, readout=readout)

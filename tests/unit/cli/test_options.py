@@ -35,11 +35,11 @@ from cgemit.tables import Table
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 DESIGN = "besiii-cgem-design"
-FILE = '[fit]\nkinks = false\n[cluster]\nposition = "charge"\n[digitize.readout]\nthreshold = 6\n'
+FILE = '[fit]\nkinks = false\n[cluster]\nposition = "charge"\n[digitize]\nreveal_sides = true\n'
 OF_FILE = Settings(
     fit=FitSettings(kinks=False),
     cluster=ClusterSettings(position="charge"),
-    digitize=DigitizeSettings(readout=BinaryReadout(threshold=6.0)),
+    digitize=DigitizeSettings(reveal_sides=True),
 )
 #: Options that say how results are shown or where they go; other tests look at them.
 SHOWN = {"--help", "--json", "--output", "--overwrite", "--quiet", "--debug", "--method", "--format"}
@@ -109,16 +109,17 @@ COMMON = [
     Row("--set", ["--set", "simulate.sublayers=true", "--set", "cluster.position=charge"],
         with_settings(simulate=SimulateSettings(sublayers=True), cluster=ClusterSettings(position="charge"))),
     Row("--set",
-        ["--set", "digitize.readout=gaussian", "--set", "digitize.readout.sigma_x=0.2", "--set", "field.bz=0.9 T"],
-        {"detector": load(DESIGN).with_overrides({"field.bz": "0.9 T"}),
-         **with_settings(digitize=DigitizeSettings(readout=GaussianReadout(sigma_x=0.2)))}),
+        ["--set", "cgem.*.readout=gaussian", "--set", "cgem.L1.readout.sigma_x=0.2 mm", "--set", "field.bz=0.9 T"],
+        {"detector": load(DESIGN).with_overrides(
+            {"cgem.*.readout": "gaussian", "cgem.L1.readout.sigma_x": "0.2 mm", "field.bz": "0.9 T"})}),
     Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
-    Row("--settings", ["--settings", "mine.toml", "--set", "digitize.readout.threshold=12", "--set", "fit.kinks=true"],
-        {"settings": replace(OF_FILE, fit=FitSettings(),
-                             digitize=DigitizeSettings(readout=BinaryReadout(threshold=12)))}),
+    Row("--settings", ["--settings", "mine.toml", "--set", "digitize.reveal_sides=false", "--set", "fit.kinks=true"],
+        {"settings": replace(OF_FILE, fit=FitSettings(), digitize=DigitizeSettings())}),
     Row("--field", ["--field", "besiii-harmonic"], {"detector": load(DESIGN).with_field("besiii-harmonic")}),
     Row("--name", ["--name", "mine"], {"detector": load(DESIGN).with_overrides({"name": "mine"})}),
-    Row("--readout", ["--readout", "gaussian"], with_settings(digitize=DigitizeSettings(readout="gaussian"))),
+    Row("--readout", ["--readout", "gaussian"], {"detector": load(DESIGN).with_readout("gaussian")}),
+    Row("--readout", ["--readout", "gaussian", "--set", "readout.sigma_x=0.2 mm"],
+        {"detector": load(DESIGN).with_readout("gaussian").with_overrides({"readout.sigma_x": "0.2 mm"})}),
     Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
     Row("--hypothesis", ["--hypothesis", "K"], with_settings(fit=FitSettings(hypothesis=("K",)))),
     Row("--particle", ["--particle", "pi+"], {"particle": "pi+"}),
@@ -281,7 +282,13 @@ STUDY_ROWS = [
     Row("--field", ["--field", "finite-solenoid"], {"field": "finite-solenoid"}),
     Row("--settings", ["--settings", "mine.toml"], {"settings": OF_FILE}),
     Row("--set", ["--set", "fit.loss=mean"], with_settings(fit=FitSettings(loss="mean"))),
-    Row("--readout", ["--readout", "gaussian"], with_settings(digitize=DigitizeSettings(readout="gaussian"))),
+    Row("--readout", ["--readout", "gaussian"], {"readout": GaussianReadout()}),
+    Row("--set", ["--set", "readout.threshold=5 fC"], {"readout": BinaryReadout(threshold=5)}),
+    Row(
+        "--readout",
+        ["--readout", "gaussian", "--set", "readout.sigma_x=0.2 mm"],
+        {"readout": GaussianReadout(sigma_x=0.2)},
+    ),
     Row("--no-deltas", ["--no-deltas"], with_settings(simulate=SimulateSettings(deltas=False))),
 ]
 
@@ -338,14 +345,14 @@ def test_a_run_is_repeated_from_its_record(tmp_path: Path) -> None:
         (["--settings", "none.toml"], ["none.toml: got", "expected a TOML file"]),
         (["--settings", "wrong.toml", "--set", "fit.los=1", "--set", "x=1", "--set", "cgem.L2.pitch=1",
           "--hypothesis", "d"],
-         ["wrong.toml: digitize.readout.gain: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
+         ["wrong.toml: digitize.reveal_sides: got -1", "--set: fit.los: got an unknown key", "--set: got 'x'",
           "cgem.L2.pitch: got an unknown key", "--hypothesis: fit.hypothesis[0]: got 'd'"]),
     ],
 )  # fmt: skip
 def test_mistakes_are_all_listed(
     words: list[str], messages: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "wrong.toml").write_text("[digitize.readout]\ngain = -1\n", encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text("[digitize]\nreveal_sides = -1\n", encoding="utf-8")
     assert main([*command_line(["simulate"], SIMULATE, Row("", words)), "-o", "never"]) == 2
     text = capsys.readouterr().err
     assert [message for message in messages if message not in text] == []

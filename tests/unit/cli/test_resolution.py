@@ -76,9 +76,9 @@ def test_ranges_and_lists_of_angles():
 @pytest.mark.parametrize(
     ("words", "settings", "change"),
     [
-        (["--set", "digitize.readout=gaussian", "--set", "digitize.reveal_sides=true"],
-         Settings(digitize=DigitizeSettings(readout="gaussian", reveal_sides=True)),
-         {"readout": "gaussian", "reveal_sides": True}),
+        (["--set", "cgem.*.readout=gaussian", "--set", "digitize.reveal_sides=true"],
+         Settings(digitize=DigitizeSettings(reveal_sides=True)),
+         {"detector": cg.load(DESIGN).with_overrides({"cgem.*.readout": "gaussian"}), "reveal_sides": True}),
         (["--set", "fit.loss=mean", "--cos-theta=-0.5:0.5"], Settings(fit=FitSettings(loss="mean")),
          {"fit": FitSettings(loss="mean"), "cos_theta": (-0.5, 0.5)}),
         (["--set", "cgem.L2.pitch_x=500 um", "--particle", "p"], None,

@@ -78,8 +78,8 @@ def test_budget_adds_up() -> None:
 @pytest.mark.usefixtures("angular")
 def test_variants_take_the_errors_of_the_angle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Derivatives, for which hits are kept, are those with the errors of the angle for all tracks."""
-    clusterer = clusterer_of("gaussian")
-    (group,) = cg.load(TRACK[0]).groups(clusterer.readout)
+    (group,) = cg.load(TRACK[0]).with_readout("gaussian").groups
+    clusterer = clusterer_of(group.readout)
     given = dict(zip("xv", clusterer.expected_errors(group), strict=True))
     given["xv"] = clusterer.expected_correlations(group)
 
@@ -141,6 +141,6 @@ def test_clusters_of_a_chip_have_its_correlation(second_pass: bool) -> None:
     np.testing.assert_allclose(clusters["corr_xv"][~used], alone[clusters["layer"][~used]], atol=1e-5)
     expected = tracked if second_pass else alone
     np.testing.assert_allclose(clusters["corr_xv"][used], expected[clusters["layer"][used]], atol=1e-5)
-    (group,) = DESIGN.groups(readout)
+    (group,) = DESIGN.with_readout(readout).groups
     np.testing.assert_array_equal(clusterer_of(readout).expected_correlations(group), by_angle[int(second_pass)])
     assert (expected > 0.02).all()

@@ -38,9 +38,9 @@ def noiseless(detector: cg.Detector, p: float, cos_theta: float, phi: float, par
     gun = cg.Gun(particle, p=p, cos_theta=cos_theta, phi=phi)
     settings = cg.Settings(
         simulate=cg.SimulateSettings(fluctuations="off"),
-        digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=1e-7, sigma_v=1e-7), reveal_sides=True),
+        digitize=cg.DigitizeSettings(reveal_sides=True),
     )
-    return cg.run(detector, gun, n=1, seed=1, settings=settings)
+    return cg.run(detector, gun, n=1, seed=1, settings=settings, readout=cg.GaussianReadout(sigma_x=1e-7, sigma_v=1e-7))
 
 
 @pytest.mark.parametrize(("detector", "p", "cos_theta", "phi"), [
@@ -62,10 +62,10 @@ def test_covariance_is_that_of_the_fit(detector: cg.Detector, p: float, cos_thet
     gun = cg.Gun("mu-", p=p, cos_theta=cos_theta, phi=phi)
     settings = cg.Settings(
         simulate=cg.SimulateSettings(fluctuations="off"),
-        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        digitize=cg.DigitizeSettings(reveal_sides=True),
         fit=cg.FitSettings(outlier_pull=0, kinks=False),
     )
-    result = cg.run(detector, gun, n=200, seed=3, settings=settings)
+    result = cg.run(detector, gun, n=200, seed=3, settings=settings, readout="gaussian")
     mean = result.fitted["cov"][result.fitted["status"] == 0].mean(axis=0)
     found = cg.analytic(detector, "mu-", p, cos_theta, phi=phi, readout="gaussian", reveal_sides=True)
     scale = np.sqrt(np.diagonal(mean))
@@ -112,7 +112,7 @@ def test_covariance_at_a_radius_is_that_of_the_states_of_the_fit(field: object) 
     detector = DESIGN if field is None else DESIGN.with_field(field)
     settings = cg.Settings(
         simulate=cg.SimulateSettings(fluctuations="off"),
-        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        digitize=cg.DigitizeSettings(reveal_sides=True),
         fit=cg.FitSettings(outlier_pull=0, kinks=False, states=RADII),
     )
     states = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.3, phi=0.4), n=100, seed=3, settings=settings).states

@@ -8,11 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cgemit import BinaryReadout, GaussianReadout, TigerReadout, load
+from cgemit import GaussianReadout, load, register_readout
 from cgemit.detector import Detector
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.induction import induced_charges
-from cgemit.detector.readouts import POSITIONS, Readout
+from cgemit.detector.parts import Readout
+from cgemit.detector.readouts import READOUTS, PositionReadout
 from cgemit.tables import Table
 
 SENSOR = {"radius": "100 mm", "sigma": "10 um", "material": "Si"}
@@ -29,26 +30,26 @@ def with_sensor(**sensors: dict[str, Any]) -> Detector:
         ("besiii-cgem-design", [("tiger", (0, 1, 2))]),
         ("besiii-pixel", [("positions", (0,)), ("tiger", (1, 2, 3))]),
         ("epic-like", [("positions", tuple(range(8)))]),
-        ("besiii-idc", [("tiger", ())]),
+        ("besiii-idc", [("binary", ())]),
         (with_sensor(VTX=SENSOR), [("tiger", (0, 2, 3)), ("positions", (1,))]),
         (with_sensor(VTX=SENSOR, IN={**SENSOR, "radius": "50 mm"}), [("positions", (0, 2)), ("tiger", (1, 3, 4))]),
     ],
 )
 def test_groups_have_all_layers_by_their_readout(detector: str | Detector, expected: list[Any]) -> None:
     """CGEM layers have the given readout, sensors measure positions; groups come in the order of their first layer."""
-    detector = load(detector)
-    groups = detector.groups(TigerReadout())
+    detector = load(detector).with_readout("tiger")
+    groups = detector.groups
     assert [(group.readout.name, group.numbers) for group in groups] == expected
     for group in groups:
         assert [(number, layer.label) for number, layer in group.items()] == [
             (number, detector.layers[number].label) for number in group.numbers
         ]
         assert group.layers == tuple(layer for _, layer in group.items())
-        assert group.cgem == (() if group.readout is POSITIONS else tuple(detector.cgem))
+        assert group.cgem == (() if group.readout == PositionReadout() else tuple(detector.cgem))
 
 
 def test_owns_tells_the_rows_of_the_group_and_refuses_other_layers() -> None:
-    positions, strips = load("besiii-pixel").groups(BinaryReadout())
+    positions, strips = load("besiii-pixel").groups
     events = {"event": np.zeros(5, np.int64)}
 
     def table(*layers: int) -> Table:
@@ -64,7 +65,7 @@ def test_owns_tells_the_rows_of_the_group_and_refuses_other_layers() -> None:
 
 def test_values_of_a_group_become_those_of_all_layers() -> None:
     """By view and then layer, whatever each layer has; the others are NaN, or as asked for."""
-    group, sensor = with_sensor(VTX=SENSOR).groups(BinaryReadout())
+    group, sensor = with_sensor(VTX=SENSOR).groups
     nan = np.nan
     np.testing.assert_equal(group.among_all(np.array([1.0, 2.0, 3.0])), [1, nan, 2, 3])
     np.testing.assert_equal(group.among_all(np.arange(6.0), 2), [0, nan, 1, 2, 3, nan, 4, 5])
@@ -72,7 +73,7 @@ def test_values_of_a_group_become_those_of_all_layers() -> None:
     np.testing.assert_equal(group.among_all(np.arange(6.0).reshape(3, 2), fill=7.0), [[0, 1], [7, 7], [2, 3], [4, 5]])
     np.testing.assert_equal(sensor.among_all(np.array([1.0])), [nan, 1, nan, nan])
     whole = np.arange(3.0)
-    assert load("besiii-cgem-design").groups(BinaryReadout())[0].among_all(whole) is whole
+    assert load("besiii-cgem-design").groups[0].among_all(whole) is whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +87,12 @@ class Listed(Readout):
 
 def test_groups_are_equal_by_value_and_have_a_hash() -> None:
     """They are keys of caches, also of a readout without a hash."""
-    one, other = (load("besiii-pixel").groups(Listed(thresholds=[value]))[1] for value in (1.0, 2.0))
-    same = load("besiii-pixel").groups(Listed(thresholds=[1.0]))[1]
+    register_readout(Listed)
+    try:
+        readouts = (Listed(thresholds=[value]) for value in (1.0, 2.0, 1.0))
+        one, other, same = (load("besiii-pixel").with_readout(readout).groups[1] for readout in readouts)
+    finally:
+        del READOUTS[Listed.name]
     assert (one == same, one == other, hash(one) == hash(same)) == (True, False, True)
 
 
@@ -103,7 +108,7 @@ def test_tables_of_some_cgem_layers_are_their_rows_among_all() -> None:
 def test_a_cgem_layer_has_no_errors_of_its_own() -> None:
     """The readout of sensors refuses it; the Gaussian readout gives it errors."""
     layer = load("besiii-cgem-design").cgem["L2"]
-    for ask in (POSITIONS.precision, POSITIONS.errors):
+    for ask in (PositionReadout().precision, PositionReadout().errors):
         with pytest.raises(ValueError, match="readout positions: got CGEM layer L2, expected a layer with errors"):
             ask(layer)
     readout = GaussianReadout(sigma_x=0.2, sigma_v=0.3)
@@ -114,5 +119,5 @@ def test_a_sensor_measures_as_its_file_says() -> None:
     """Without an error it measures the middle of a strip, with the error pitch/sqrt(12)."""
     keys = {"radius": "100 mm", "material": "Si", "sigma_x": "10 um", "pitch_v": "1 mm", "efficiency": 0.9}
     sensor = with_sensor(VTX={**keys, "sigma_time": "2 ns"}).layer["VTX"]
-    assert POSITIONS.precision(sensor) == (0.01, 0.0, 0.9, 2.0)
-    assert POSITIONS.errors(sensor) == pytest.approx((0.01, 1 / np.sqrt(12)))
+    assert PositionReadout().precision(sensor) == (0.01, 0.0, 0.9, 2.0)
+    assert PositionReadout().errors(sensor) == pytest.approx((0.01, 1 / np.sqrt(12)))

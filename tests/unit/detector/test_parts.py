@@ -23,7 +23,7 @@ from cgemit.reconstruction.find import truth
 DESIGN = load("besiii-cgem-design")
 DISPLACED = {"shift_x": 0.3, "shift_y": -0.2, "shift_z": 0.4, "tilt_x": 1e-3, "tilt_y": -0.7e-3, "rotation": 2e-3}
 UNITS = {"shift_x": "mm", "shift_y": "mm", "shift_z": "mm", "tilt_x": "rad", "tilt_y": "rad", "rotation": "rad"}
-EXACT = {"simulate": {"fluctuations": "off", "deltas": False}, "digitize": {"readout": "gaussian"}}
+EXACT = {"simulate": {"fluctuations": "off", "deltas": False}}
 
 
 def displaced(part, **values):
@@ -137,7 +137,7 @@ def test_wires(layer):
 def residuals(detector, fit_detector, n=300):
     found = run(
         detector, Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n, seed=3, settings=Settings.from_dict(EXACT),
-        fit_detector=fit_detector,
+        fit_detector=fit_detector, readout="gaussian",
     )  # fmt: skip
     return found.tracks
 
@@ -166,7 +166,7 @@ def test_clusters_of_a_shifted_layer():
     gun = Gun("mu-", p=50.0, theta=np.pi / 2, phi=0.0)
     x = []
     for one in (DESIGN, detector):
-        clusters = run(one, gun, 200, seed=1, settings=Settings.from_dict(EXACT)).clusters
+        clusters = run(one, gun, 200, seed=1, settings=Settings.from_dict(EXACT), readout="gaussian").clusters
         x.append(clusters["x"][(clusters["layer"] == 0) & (clusters["view"] == 0)])
     layer = DESIGN.cgem[0]
     np.testing.assert_allclose(x[1] - x[0], -0.1 * layer.r_readout / layer.r_mid, atol=1e-4)

@@ -207,8 +207,8 @@ def test_tiger_samples_the_charge_after_its_delay() -> None:
         noise=0, jitter=0, saturation=1e9, gain_fluctuation=False, share_spread=0, survival=1.0, diffusion=0,
         holes=False, lorentz=False,
     )  # fmt: skip
-    settings = digitize.DigitizeSettings(readout=quiet)
-    digis = digitize.digitize(DESIGN, whole.truths, whole.wire_truths, settings, 1, steps=point)["digis"]
+    detector = DESIGN.with_readout(quiet)
+    digis = digitize.digitize(detector, whole.truths, whole.wire_truths, None, 1, steps=point)["digis"]
     charge = 0.5 * 100 * quiet.gain * 1.602176634e-4  # fC
     length = drift_columns(DESIGN)["induction"][0]  # ns, through the induction gap
     t = np.arange(0, 100, 0.01)
@@ -251,8 +251,7 @@ def test_it_needs_all_ionization() -> None:
     settings = Settings(simulate=SimulateSettings(steps=False))
     result = run(DESIGN, GUN, 3, seed=4, settings=settings, until="simulate")
     with pytest.raises(ValueError, match=r"truths row 0: its steps deposit .* SimulateSettings\(steps=True\)"):
-        digitize.digitize(DESIGN, result.truths, result.wire_truths, digitize.DigitizeSettings(readout="tiger"), 1,
-                          steps=result.steps)  # fmt: skip
+        digitize.digitize(DESIGN.with_readout("tiger"), result.truths, result.wire_truths, None, 1, steps=result.steps)
     with pytest.raises(ValueError, match="steps: got True, expected False unless fluctuations are 'full'"):
         run(DESIGN, GUN, 3, readout="tiger", settings=Settings(simulate=SimulateSettings(fluctuations="off")))
 

@@ -143,8 +143,8 @@ def test_rows_that_make_no_sense_are_refused(design):
 
 def test_settings_list_every_problem():
     """Each wrong value is named with what was given and what was expected."""
-    with pytest.raises(ValueError, match=r"readout: got 'analogue', expected one of 'binary', 'gaussian'(?s:.*)sides"):
-        DigitizeSettings(readout="analogue", reveal_sides=2)
+    with pytest.raises(ValueError, match=r"reveal_sides: got 2(?s:.*)wire_times: got 'late', expected one of"):
+        DigitizeSettings(reveal_sides=2, wire_times="late")
     with pytest.raises(ValueError, match=r"gain: got -1(?s:.*)threshold: got -0.1"):
         BinaryReadout(gain=-1, threshold=-0.1)
     with pytest.raises(ValueError, match=r"sigma_x: got 0(?s:.*)sigma_v: got inf(?s:.*)gain: got nan"):
@@ -264,10 +264,9 @@ def test_results_do_not_depend_on_chunks(design, readout):
     doca = np.random.default_rng(2).uniform(-7, 7, 20 * n)
     wires = gem_toy.wire_truth_columns(np.repeat(np.arange(n), 20), np.tile(np.arange(8, 28), n), 11, doca)
     wire_truths = Table("wire_truths", wires, n)
-    settings = DigitizeSettings(readout=readout)
-    assert settings.readout.name == readout
-    whole = digitize(design, truths, wire_truths, settings, seed=9)
-    part = digitize(design, truths.select_events(40, 60), wire_truths.select_events(40, 60), settings, seed=9)
+    design = design.with_readout(readout)
+    whole = digitize(design, truths, wire_truths, seed=9)
+    part = digitize(design, truths.select_events(40, 60), wire_truths.select_events(40, 60), seed=9)
     for name, table in part.items():
         same = whole[name].select_events(40, 60)
         links = {"truth", "wire_truth", "x_cluster", "v_cluster"}
@@ -619,7 +618,7 @@ def read_out_deltas(truths, steps=None, n_events=1, **settings):
     """Digis of bare columns."""
     tables = Table("truths", truths, n_events), Table.empty("wire_truths", n_events)
     steps = None if steps is None else Table("steps", steps, n_events)
-    return digitize(DETECTOR, *tables, DigitizeSettings(readout=BinaryReadout(**settings)), steps=steps)["digis"]
+    return digitize(DETECTOR.with_readout(BinaryReadout(**settings)), *tables, steps=steps)["digis"]
 
 
 def on_cylinder(layer, phi, z):
@@ -765,20 +764,20 @@ def test_layers_beside_a_sensor_are_read_out_as_alone(readout):
 
     Rows keep numbers, strips and links of the whole detector; positions have no strip.
     """
-    how = DigitizeSettings(readout=readout)
     sensor = {"radius": "182 mm", "length": "700 mm", "sigma": "50 um", "thickness": "0.3 mm", "material": "Si"}
     wrapped = load({"base": "besiii-cgem-design", "name": "wrapped", "layer": {"W": sensor}})
     names = [layer.label for layer in load("besiii-pixel").cgem]
     pixels = load({"base": "besiii-pixel", "name": "pixels", "remove": [f"cgem.{name}" for name in names]})
     gun = Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
     for detector, alone, last in ((wrapped, load("besiii-cgem-design"), 2), (load("besiii-pixel"), pixels, 0)):
-        made = run(detector, gun, 15, seed=3, readout=readout, until="digitize")
+        detector, alone = (one.with_readout(readout) for one in (detector, alone))
+        made = run(detector, gun, 15, seed=3, until="digitize")
         truths, steps = made.truths, made.steps
-        digis = digitize(detector, truths, made.wire_truths, how, 5, steps=steps)["digis"]
+        digis = digitize(detector, truths, made.wire_truths, None, 5, steps=steps)["digis"]
         place = np.cumsum(truths["layer"] <= last) - 1
         own = steps[steps["layer"] <= last]
         expected = digitize(
-            alone, truths[truths["layer"] <= last], made.wire_truths, how, 5,
+            alone, truths[truths["layer"] <= last], made.wire_truths, None, 5,
             steps=own.with_columns(truth=place[own["truth"]]),
         )["digis"]  # fmt: skip
         found = digis[digis["layer"] <= last]

@@ -76,7 +76,7 @@ def test_the_chain_with_its_errors() -> None:
 def test_command_scans_and_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, file = tmp_path / "scan", tmp_path / "mine.toml"
     scan = ["readout", "--readout", "apv25", "--bz", "0", "--angles", "0 deg,30 deg", "-n", "400", "--quiet"]
-    assert main([*scan, "--set", "digitize.readout.gain=39000", "-o", str(out)]) == 0
+    assert main([*scan, "--set", "readout.gain=39000", "-o", str(out)]) == 0
     rows = list(csv.DictReader((out / "readout.csv").read_text().splitlines()))
     assert [(float(row["angle_deg"]), row["view"]) for row in rows] == [(0, "X"), (0, "V"), (30, "X"), (30, "V")]
     assert float(rows[2]["centroid_um"]) > 4 * float(rows[0]["centroid_um"])
@@ -86,7 +86,7 @@ def test_command_scans_and_fits(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["readout", "--readout", "binary", "--bz", "0"]) == 2
     assert main([*scan, "--bz", "1.5"]) == 2
     assert "expected 0 to 1.2 T" in capsys.readouterr().err
-    fit = ["readout", "--readout", "analog-projection", "--set", "digitize.readout.sigma=0.4", "-n", "200"]
+    fit = ["readout", "--readout", "analog-projection", "--set", "readout.sigma=0.4 mm", "-n", "200"]
     assert main([*fit, "--fit", str(file), "--quiet"]) == 0
     assert main([*fit, "--fit", str(file), "--quiet"]) == 2
     assert "expected another file, or --overwrite" in capsys.readouterr().err

@@ -17,13 +17,12 @@ import gem_toy
 from cgemit import _core, helix, isa
 from cgemit.chain import run
 from cgemit.chain.executor import Workers
-from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, compiled, load, write_field_map
 from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun, generate
 from cgemit.particles.species import DECAYS, KNOWN, DecayMode, decay_table
 from cgemit.reconstruction.find import truth
-from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
 from fields import HARMONIC, harmonic_by_hand, small_map
@@ -278,17 +277,16 @@ def test_events_do_not_depend_on_chunks():
 def test_chain_does_not_depend_on_threads_and_chunks(readout):
     """The same seed gives the same bytes for one and two threads, any chunk size, and for a table of one event."""
     gun = Gun("mu-", p=(0.2, 1.0), cos_theta=(-0.9, 0.9))
-    settings = Settings(digitize=DigitizeSettings(readout=readout))
     results = [
-        run.run(DESIGN, gun, 30, seed=6, settings=settings, workers=Workers(threads=threads, chunk=chunk))
+        run.run(DESIGN, gun, 30, seed=6, readout=readout, workers=Workers(threads=threads, chunk=chunk))
         for threads, chunk in ((1, 1000), (2, 7), (2, 1))
     ]
     assert results[1] == results[0]
     assert results[2] == results[0]
-    alone = run.run(DESIGN, results[0].particles.select_events(17, 18), seed=6, settings=settings)
+    alone = run.run(DESIGN, results[0].particles.select_events(17, 18), seed=6, readout=readout)
     for name in ("dr", "phi0", "kappa", "dz", "tanl", "cov", "chi2"):
         np.testing.assert_array_equal(alone.tracks[name][0], results[0].tracks[name][17])
-    other = run.run(DESIGN, gun, 30, seed=7, settings=settings)
+    other = run.run(DESIGN, gun, 30, seed=7, readout=readout)
     assert not np.any(other.tracks["dr"] == results[0].tracks["dr"])
 
 

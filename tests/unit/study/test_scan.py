@@ -57,11 +57,12 @@ def by_hand(tracks: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def test_a_sample_has_the_tracks_and_residuals_of_a_whole_run(finder: str) -> None:
     """Though it keeps a third of the tables; also where clusters and drift times are refined, and states wanted."""
     settings = cg.Settings(
-        digitize=cg.DigitizeSettings(readout=cg.TigerReadout(second_pass=True), wire_times="raw"),
+        digitize=cg.DigitizeSettings(wire_times="raw"),
         fit=cg.FitSettings(states=("beam_pipe",), residuals=True),
     )
-    (sample,) = scan(DESIGN, [0.5], cos_theta=0.2, events=30, settings=settings, finder=finder).orders
-    run = cg.run(DESIGN, sample.gun, 30, sample.seed, settings=settings, finder=finder)
+    detector = cg.load(DESIGN).with_readout(cg.TigerReadout(second_pass=True))
+    (sample,) = scan(detector, [0.5], cos_theta=0.2, events=30, settings=settings, finder=finder).orders
+    run = cg.run(detector, sample.gun, 30, sample.seed, settings=settings, finder=finder)
     assert sample.tracks == run.tracks
     for name, values in vars(cluster_residuals(run)).items():
         np.testing.assert_array_equal(getattr(sample.clusters, name), values)
@@ -239,11 +240,11 @@ def test_several_particles_and_detectors_from_the_shell(tmp_path: Path, capsys: 
 
 
 def test_titles_name_readout_and_finder() -> None:
-    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian"))
-    one = scan(DESIGN, [1.0], events=60, settings=settings, finder="ckf")
+    detector = cg.load(DESIGN).with_readout("gaussian")
+    one = scan(detector, [1.0], events=60, finder="ckf")
     assert str(one).splitlines()[0].endswith("errors; readout gaussian, hits found by ckf")
     assert resolutions([one]).get_suptitle().endswith("momentum, readout gaussian, hits found by ckf")
-    line = scan_analytic(DESIGN, [1.0], cos_theta=0.0, settings=settings)
+    line = scan_analytic(detector, [1.0], cos_theta=0.0)
     assert str(line).splitlines()[0].endswith("core widths, analytic; readout gaussian")
     assert resolutions([line]).get_suptitle().endswith("readout gaussian")
     chamber = scan("besiii-idc", [1.0], events=60)

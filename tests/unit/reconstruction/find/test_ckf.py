@@ -878,9 +878,9 @@ def test_with_background_and_charge_and_time():
     settings = cg.Settings(
         simulate=cg.SimulateSettings(decays=False),
         background=cg.BackgroundSettings(level="bes2026"),
-        digitize=cg.DigitizeSettings(readout="tiger"),
     )
-    finding = cg.study.finding(cg.run(detector, gun + gun, 100, settings=settings, seed=5, until="find", finder="ckf"))
+    found = cg.run(detector, gun + gun, 100, settings=settings, seed=5, readout="tiger", until="find", finder="ckf")
+    finding = cg.study.finding(found)
     rates = finding.rates()
     assert rates.efficiency.value > 0.985
     assert rates.fakes.value < 0.02

@@ -9,7 +9,7 @@ from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hit
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import by_truth, own_clusters
 from cgemit.reconstruction.fit import fit
-from cgemit.simulation.digitize import DigitizeSettings, digitize
+from cgemit.simulation.digitize import digitize
 from cgemit.tables import SCHEMAS, Table
 
 EVENTS = 30
@@ -47,9 +47,9 @@ def chain(request):
     )
     truths = Table("truths", truths, EVENTS)
     wire_truths = Table("wire_truths", wires, EVENTS)
-    settings = DigitizeSettings(readout=request.param)
-    hits = digitize(DETECTOR, truths, wire_truths, settings, seed=2)
-    clusters = cluster(DETECTOR, hits["digis"], readout=settings.readout)
+    detector = DETECTOR.with_readout(request.param)
+    hits = digitize(detector, truths, wire_truths, seed=2)
+    clusters = cluster(detector, hits["digis"])
     return {"truths": truths, "wire_truths": wire_truths, "wire_hits": hits["wire_hits"], "clusters": clusters}
 
 

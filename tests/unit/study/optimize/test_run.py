@@ -325,13 +325,11 @@ def test_every_problem_is_listed_at_once() -> None:
 
 
 def test_an_optimum_with_charge_and_time_has_the_resolution_of_its_design() -> None:
-    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="tiger"))
+    detector = cg.load(DESIGN).with_readout("tiger")
     space = {"cgem.*.pitch_x": ("500 um", "800 um"), "cgem.*.drift_gap": ("4 mm", "6 mm")}
-    found = optimize(
-        DESIGN, space, minimize="dr", evaluate=Evaluation(p=0.5, samples=16, settings=settings), search=Search(calls=2)
-    )
+    found = optimize(detector, space, minimize="dr", evaluate=Evaluation(p=0.5, samples=16), search=Search(calls=2))
     best = found.front[0]
-    sigma = float(cg.analytic(found.detector(best), p=0.5, readout="tiger", samples=16).sigma("dr"))
+    sigma = float(cg.analytic(found.detector(best), p=0.5, samples=16).sigma("dr"))
     assert found["sigma_dr (um)"][best] == pytest.approx(sigma, rel=1e-9)
     base = float(cg.analytic(DESIGN, p=0.5, readout="tiger", samples=16).sigma("dr"))
     assert sigma < base

@@ -223,7 +223,7 @@ def test_the_core_takes_other_factors() -> None:
     """A term without its factor is gone from the errors of clusters: none of the seven is left out."""
     at = design(TIGER, 1)
     digis = cg.run(at.detector, muons(60, 5, 0.0), seed=5, readout=at.readout, until="digitize").digis
-    inputs, (group,) = error_inputs(at.detector, at.readout), at.detector.groups(at.readout)
+    inputs, (group,) = error_inputs(at.detector, at.readout), at.detector.with_readout(at.readout).groups
     for estimator, names in (("merged", FACTORS[1:6]), ("micro-tpc", FACTORS[6:]), ("centroid", FACTORS[:1])):
         clusterer = charge_clusterer(with_estimator(at.readout, estimator))
         whole = clusterer.columns(group, digis, inputs)["err_x"]

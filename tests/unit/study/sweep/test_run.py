@@ -297,9 +297,9 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     assert [name for name in few.results if name.startswith("sigma")] == ["sigma_dz (mm)", "sigma_pt (MeV/c)"]
     expected = cg.analytic(few.detector(1), samples=3).sigma("dz")
     assert few.columns["sigma_dz (mm)"][1] == pytest.approx(float(expected), rel=1e-12)
-    read_out = cg.Settings(digitize=cg.DigitizeSettings(readout=cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3)))
-    changed = sweep(DESIGN, space, evaluate=Evaluation(settings=read_out))
-    expected = cg.analytic(changed.detector(1), readout=read_out.digitize.readout).sigma("dr")
+    smeared = cg.load(DESIGN).with_readout(cg.GaussianReadout(sigma_x=0.3, sigma_v=0.3))
+    changed = sweep(smeared, space, evaluate=Evaluation())
+    expected = cg.analytic(few.detector(1), readout=smeared.cgem["L1"].readout).sigma("dr")
     assert changed.columns["sigma_dr (um)"][1] == pytest.approx(float(expected), rel=1e-12)
 
 
