@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from cgemit.base.errors import Problem, Problems, ProblemsError, reason
 from cgemit.base.files import flat, nested, new_file, parse_toml, read_text, toml_text
-from cgemit.base.validate import NONE, Choice, build, check_fields, classes_in, default_of, expected, kinds_of
+from cgemit.base.validate import NONE, build, check_fields, default_of, expected, is_settings, kinds_of
 
 
 class SettingsError(ProblemsError):
@@ -178,9 +178,8 @@ def _parsed(text: str, source: str) -> Mapping[str, Any]:
 
 def _plain(value: Any, kind: Any) -> Any:
     """Return a value as JSON has it."""
-    if classes_in(kind):
-        named = {"name": value.name} if isinstance(kind, Choice) else {}
-        return named | {name: _plain(getattr(value, name), inner) for name, inner in kinds_of(type(value)).items()}
+    if is_settings(kind):
+        return {name: _plain(getattr(value, name), inner) for name, inner in kinds_of(type(value)).items()}
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -188,7 +187,7 @@ def _about(settings: Any, path: str) -> str:
     """Return what the value at a dotted path may be."""
     first, _, rest = path.partition(".")
     value, kind = getattr(settings, first), kinds_of(type(settings))[first]
-    return _about(value, rest) if rest and not (rest == "name" and isinstance(kind, Choice)) else expected(kind)
+    return _about(value, rest) if rest else expected(kind)
 
 
 def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -> dict[str, Any]:
@@ -196,7 +195,7 @@ def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -
     found = dict(tables)
     for field in fields(settings):
         value = getattr(settings, field.name)
-        if classes_in(kinds_of(type(settings))[field.name]):
+        if is_settings(kinds_of(type(settings))[field.name]):
             found[field.name] = _without_none(value, tables[field.name], say_none=say_none)
         elif value is None and default_of(field) is None and not say_none:
             del found[field.name]
@@ -206,16 +205,14 @@ def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -
 
 
 def _lay_over(tree: dict[str, Any], tables: Mapping[str, Any], path: str, origin: str, origins: dict[str, str]) -> None:
-    """Lay tables over others; another choice, or its bare name, replaces the settings of the one before."""
+    """Lay tables over others."""
     for name, value in tables.items():
         origins[f"{path}{name}"] = origin
         if not isinstance(value, Mapping):
             tree[name] = value
             continue
         old = tree.get(name)
-        below = {"name": old} if isinstance(old, str) else dict(old) if isinstance(old, Mapping) else {}
-        if "name" in value and value["name"] != below.get("name"):
-            below = {}
+        below = dict(old) if isinstance(old, Mapping) else {}
         _lay_over(below, value, f"{path}{name}.", origin, origins)
         tree[name] = below
 

@@ -231,31 +231,8 @@ Positive = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positiv
 NotNegative = Annotated[float, Check(lambda value: 0 <= value < math.inf, "zero or a positive number")]
 
 
-class Choice(NamedTuple):
-    """A field that holds an instance of one of several classes, by their names."""
-
-    classes: Mapping[str, type[Any]]
-    register: str = ""  # the function that adds a class, for messages
-
-
-def one_of(classes: Mapping[str, type[Any]], register: str = "") -> dict[str, Choice]:
-    """Return the metadata of a dataclass field that holds an instance of one of some classes.
-
-    Without it, the annotation names the classes. The mapping is read when a value is checked, so classes may be
-    added to it later.
-
-    Parameters
-    ----------
-    classes : mapping of str to type
-        Dataclasses by their names.
-    register : str
-        The function that adds a class, for the message about one that is not in the mapping.
-    """
-    return {"choice": Choice(classes, register)}
-
-
 def kinds_of(cls: type[Any]) -> Mapping[str, Any]:
-    """Return the kind of every field of a dataclass: its annotation, or the choice that its metadata names."""
+    """Return the kind of every field of a dataclass: its annotation."""
     key: Any = cls  # mypy takes a class for unhashable
     return _kinds_of(key)
 
@@ -263,15 +240,7 @@ def kinds_of(cls: type[Any]) -> Mapping[str, Any]:
 @functools.cache
 def _kinds_of(cls: type[Any]) -> Mapping[str, Any]:
     hints = get_type_hints(cls, include_extras=True)
-    return {f.name: f.metadata.get("choice") or _with_choice(hints[f.name]) for f in fields(cls)}
-
-
-def _with_choice(kind: Any) -> Any:
-    """Return a union of named dataclasses as a choice, anything else as it is."""
-    classes: list[Any] = [one for one in _members(kind) if is_dataclass(one)]
-    if len(classes) > 1 and len(classes) == len(_members(kind)):
-        return Choice({one.name: one for one in classes})
-    return kind
+    return {f.name: hints[f.name] for f in fields(cls)}
 
 
 def _members(kind: Any) -> tuple[Any, ...]:
@@ -287,11 +256,9 @@ def allows_none(kind: Any) -> bool:
     return type(None) in _members(kind)
 
 
-def classes_in(kind: Any) -> Mapping[str, type[Any]]:
-    """Return the dataclasses that a value of a kind may be an instance of, by name; the name is empty for a single."""
-    if isinstance(kind, Choice):
-        return kind.classes
-    return {"": kind} if isinstance(kind, type) and is_dataclass(kind) else {}
+def is_settings(kind: Any) -> bool:
+    """Tell whether a value of a kind is an instance of one dataclass, a table in files."""
+    return isinstance(kind, type) and is_dataclass(kind)
 
 
 #: Function of the path to a value, the value and problems: the value as it is kept, or `NO` with its problems noted.
@@ -301,8 +268,7 @@ Reader = Callable[[str, Any, Problems], Any]
 def reader(kind: Any) -> Reader:
     """Return what reads values of a kind.
 
-    Values of numpy become those of Python, lists and arrays tuples, and whole numbers floats where floats are kept. The
-    name of a choice becomes an instance with all defaults.
+    Values of numpy become those of Python, lists and arrays tuples, and whole numbers floats where floats are kept.
     """
     constraint = constraint_of(kind)
     if constraint is None:
@@ -332,8 +298,6 @@ def constraint_of(kind: Any) -> Quantity | None:
 
 def matcher(kind: Any) -> Callable[[object], Any]:
     """Return the function that returns a value as it is kept if it is of a kind, else `NO`; see `reader`."""
-    if isinstance(kind, Choice):
-        return functools.partial(_chosen, kind.classes)
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _annotated(*arguments)
@@ -347,12 +311,6 @@ def matcher(kind: Any) -> Callable[[object], Any]:
         many = arguments[-1] is Ellipsis
         return functools.partial(_listed, [matcher(one) for one in arguments[: 1 if many else None]], many)
     return _PLAIN.get(kind) or functools.partial(_instance, origin or kind)
-
-
-def _chosen(classes: Mapping[str, type[Any]], given: object) -> Any:
-    if isinstance(given, str) and given in classes:
-        return classes[given]()
-    return given if type(given) in classes.values() else NO
 
 
 def _annotated(base: Any, *checks: Any) -> Callable[[object], Any]:
@@ -405,15 +363,11 @@ def _note(kind: Any, given: object, path: str, problems: Problems) -> None:
                 return
     text = f"{type(given).__name__}(...)" if is_dataclass(given) else f"{given!r:.80}"
     hint = did_you_mean(given, texts_of(kind))
-    if isinstance(kind, Choice) and kind.register and is_dataclass(given):
-        hint = f"{kind.register}({type(given).__name__}, ...) registers it"
     problems.note(path, text, expected(kind), hint)
 
 
 def texts_of(kind: Any) -> tuple[str, ...]:
     """Return the texts among the values of a kind."""
-    if isinstance(kind, Choice):
-        return tuple(kind.classes)
     if get_origin(kind) is Literal:
         return get_args(kind)
     return tuple(text for one in get_args(kind) for text in texts_of(one)) if _is_union(kind) else ()
@@ -421,8 +375,6 @@ def texts_of(kind: Any) -> tuple[str, ...]:
 
 def expected(kind: Any) -> str:
     """Return the values of a kind as text."""
-    if isinstance(kind, Choice):
-        return "one of " + ", ".join(map(repr, kind.classes))
     if get_origin(kind) is Annotated:
         constraint = get_args(kind)[1]
         return str(constraint.expected() if isinstance(constraint, Quantity) else constraint.expected)
@@ -523,18 +475,13 @@ def entries(
     return {name: value for name, value in raw.items() if name in known} if unknown else raw
 
 
-def build(
-    cls: type[T], given: object, path: str, problems: Problems, choices: Mapping[str, type[Any]] | None = None
-) -> T | None:
-    """Return an instance of a dataclass made of a table; None, with problems added, if there are any.
-
-    `choices` are all classes that could have been chosen: a key of another one is told apart from a misspelt one.
-    """
+def build(cls: type[T], given: object, path: str, problems: Problems) -> T | None:
+    """Return an instance of a dataclass made of a table; None, with problems added, if there are any."""
     kinds, values, before = kinds_of(cls), {}, len(problems)
     defaults = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
-    for name, raw in entries(given, path, kinds, problems, lambda key: owner_of(key, cls, choices or {})).items():
+    for name, raw in entries(given, path, kinds, problems).items():
         count = len(problems)
-        value = _read_field(kinds[name], raw, joined(path, name), problems, defaults[name])
+        value = _read_field(kinds[name], raw, joined(path, name), problems)
         if len(problems) == count:
             values[name] = value
     missing = [
@@ -553,26 +500,11 @@ def build(
     return built if len(problems) == before else None
 
 
-def _read_field(kind: Any, raw: object, path: str, problems: Problems, field: Field[Any]) -> Any:
+def _read_field(kind: Any, raw: object, path: str, problems: Problems) -> Any:
     """Return a value of a file in the form that the dataclass takes; it checks the value itself."""
-    classes = classes_in(kind)
-    if not classes:
-        return None if raw == NONE and allows_none(kind) else raw
-    if not isinstance(kind, Choice):
-        return build(classes[""], raw, path, problems)
-    table = dict(raw) if isinstance(raw, Mapping) else {"name": raw}
-    name = table.pop("name", default_of(field).name)
-    if not isinstance(name, str) or name not in classes:
-        _note(kind, name, path, problems)
-        return None
-    return build(classes[name], table, path, problems, classes)
-
-
-def owner_of(key: str, cls: type[Any], choices: Mapping[str, type[Any]]) -> str:
-    """Return which other choices have a key; an empty text if none has."""
-    owners = [name for name, one in choices.items() if one is not cls and key in kinds_of(one)]
-    mine = next((name for name, one in choices.items() if one is cls), "")
-    return f"it is a key of name = {' or '.join(map(repr, owners))}, and name is {mine!r} here" if owners else ""
+    if is_settings(kind):
+        return build(kind, raw, path, problems)
+    return None if raw == NONE and allows_none(kind) else raw
 
 
 def default_of(field: Field[Any]) -> Any:

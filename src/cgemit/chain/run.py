@@ -48,6 +48,7 @@ from cgemit.chain.settings import (
 from cgemit.detector import Detector, load
 from cgemit.detector.drift import check_wire_times
 from cgemit.detector.parts import Readout
+from cgemit.detector.reader import readout_of
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
@@ -370,8 +371,8 @@ def _checked(
 
 def _read_out(detector: Detector | None, readout: Any, problems: Problems) -> Detector | None:
     """Return a detector with a readout; None, with the problem noted, if there is no such readout."""
-    found: Detector | None = None if detector is None else problems.collect(detector.with_readout, readout)
-    return found
+    readout = problems.collect(readout_of, readout)
+    return None if detector is None or readout is None else detector.with_readout(readout)
 
 
 def check_clusterer(detector: Detector | None, until: object) -> None:

@@ -240,6 +240,7 @@ def sensitivity(
     """
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)
+    detector = base.detector  # with the readout of the arguments
     base.only_at_origin("sensitivity")
     problems = Problems()
     read = reader(tuple[str, ...])

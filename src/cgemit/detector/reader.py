@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, joined, shown
-from cgemit.base.validate import NO, entries, owner_of
+from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CELLS, CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import CgemLayer, Layer, MeasurementLayer, RatePoint, Readout, SubLayer
@@ -251,7 +251,7 @@ class Reader:
             return usual
         cls: Any = known[name]
         keys = keys_of(cls)
-        table = dict(entries(table, path, keys, self.problems, lambda one: owner_of(one, cls, known)))
+        table = dict(entries(table, path, keys, self.problems, lambda one: _owner(one, cls, known)))
         values = self.table(path, table, cls, keys=keys)
         if len(self.problems) == before:
             try:
@@ -402,6 +402,12 @@ FOR_ALL_LAYERS = {
     "signal_speed": ("signal_speed",),
     "readout_end": ("readout_end",),
 }
+
+
+def _owner(key: str, cls: Any, known: Mapping[str, Any]) -> str:
+    """Return which other readouts have a key; an empty text if none has."""
+    owners = ", ".join(repr(name) for name, one in known.items() if key in keys_of(one))
+    return f"it is a key of name = {owners}, and name is {cls.name!r} here" if owners else ""
 
 
 def readout_of(given: Readout | str | Mapping[str, Any]) -> Readout:

@@ -28,7 +28,7 @@ Gain = Annotated[float, Quantity("dimensionless", 0.0, 1e8, above=True)]
 Width = Annotated[float, Quantity("length", 0.0, 1000.0, above=True)]
 # Of a strip and of a time, to far beyond any chip.
 Noise = Annotated[float, Quantity("charge", 0.0, 1000.0)]
-Threshold = Annotated[float, Quantity("charge", 0.0, 1e6, above=True)]
+Threshold = Annotated[float, Quantity("charge", 0.0, 1e12, above=True)]
 Jitter = Annotated[float, Quantity("time", 0.0, 10_000.0)]
 Margin = Annotated[float, Quantity("time", 0.0, 1e6, above=True)]
 Probability = Annotated[float, Quantity("dimensionless", 0.0, 1.0, above=True)]

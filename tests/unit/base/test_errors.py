@@ -362,5 +362,5 @@ def test_unknown_keys_and_wrong_values_of_a_plan_at_once(read, tmp_path):
     ],
 )  # fmt: skip
 def test_noise_and_jitter_have_limits(make):
-    with pytest.raises(ValueError, match=r"(jitter|noise): got .*expected 0 to 1000"):
+    with pytest.raises(ValueError, match=r"(jitter|noise): got .*expected a (time|charge) in (ns|fC) from 0 to 1000"):
         make()

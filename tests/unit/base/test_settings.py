@@ -7,14 +7,14 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
 
 import cgemit as cg
 from cgemit.base.settings import SettingsData, SettingsError
-from cgemit.base.validate import NO, Positive, expected, kinds_of, matcher, one_of
+from cgemit.base.validate import NO, Positive, expected, kinds_of, matcher
 from cgemit.chain.settings import Settings
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.find.ckf import FindSettings
@@ -45,36 +45,22 @@ CHANGED = Settings(
 
 @dataclass(frozen=True, kw_only=True)
 class Strips(SettingsData):
-    """One choice."""
+    """Settings inside others."""
 
-    name: ClassVar[str] = "strips"
     gain: Positive = 10.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pads(SettingsData):
-    """Another choice."""
-
-    name: ClassVar[str] = "pads"
-    side: Positive = 2.0
-    shape: Literal["square", "hexagon"] = "square"
-
-
-KNOWN: dict[str, type[Any]] = {"strips": Strips, "pads": Pads}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Toy(SettingsData):
     """Settings with everything that an annotation may say."""
 
-    readout: Strips | Pads = field(default_factory=Strips)
-    later: SettingsData = field(default_factory=Strips, metadata=one_of(KNOWN))
+    strips: Strips = field(default_factory=Strips)
     limit: float | None = 5.0
     counts: tuple[int, ...] = ()
     title: str = ""
 
 
-@pytest.mark.parametrize("settings", [Settings(), CHANGED, Toy(), Toy(readout=Pads(shape="hexagon"), limit=None)])
+@pytest.mark.parametrize("settings", [Settings(), CHANGED, Toy(), Toy(strips=Strips(gain=3.0), limit=None)])
 def test_files_give_back_what_was_written(settings: SettingsData, tmp_path: Path) -> None:
     kind = type(settings)
     assert kind.from_toml(settings.to_toml()) == settings
@@ -95,8 +81,6 @@ def test_every_field_of_every_stage_is_in_the_files() -> None:
         assert set(tables[stage]) == {f.name for f in dataclasses.fields(given)}
         for name, value in tables[stage].items():
             kept = getattr(given, name)
-            if name == "readout":
-                kept = {"name": kept.name, **dataclasses.asdict(kept)}
             assert value == (list(kept) if isinstance(kept, tuple) else kept), name
 
 
@@ -104,46 +88,6 @@ def test_none_is_left_out_where_it_is_the_default_and_is_a_word_elsewhere() -> N
     assert "screening" not in tomllib.loads(FitSettings().to_toml())
     assert FitSettings.from_toml('screening = "none"') == FitSettings()
     assert tomllib.loads(Toy(limit=None).to_toml())["limit"] == "none"
-
-
-def test_a_choice_is_a_table_with_a_name_or_the_name_alone() -> None:
-    assert Toy.from_toml('readout = "pads"').readout == Pads()
-    assert Toy(readout="pads") == Toy(readout=Pads())  # type: ignore[arg-type]
-    assert "\nname = \"pads\"  # one of 'strips', 'pads'\nside = 2.0  # a positive number\n" in Toy(
-        readout=Pads()
-    ).to_toml(comments=True)
-    assert Toy.from_toml('[readout]\nname = "pads"\nside = 3').readout == Pads(side=3.0)
-    assert Toy.from_toml("[readout]\ngain = 3").readout == Strips(gain=3.0)  # the default's own settings
-    assert tomllib.loads(Toy(readout=Pads()).to_toml())["readout"] == {"name": "pads", "side": 2.0, "shape": "square"}
-    with pytest.raises(
-        SettingsError, match=r"readout: got 'pad', expected one of 'strips', 'pads'; did you mean \"pads"
-    ):
-        Toy.from_toml('readout = "pad"')
-    with pytest.raises(SettingsError, match=r"readout\.gain: got an unknown key, expected one of side, shape"):
-        Toy.from_toml('readout = {name = "pads", gain = 3}')
-
-
-def test_a_choice_that_is_added_later_counts() -> None:
-    @dataclass(frozen=True, kw_only=True)
-    class Pixels:  # a class from elsewhere, which checks itself
-        name: ClassVar[str] = "pixels"
-        side: float = 0.05
-
-        def __post_init__(self) -> None:
-            if self.side <= 0:
-                raise ValueError(f"side: got {self.side}, expected a size")
-
-    with pytest.raises(SettingsError, match="later"):
-        Toy(later=Pixels())  # type: ignore[arg-type]
-    KNOWN["pixels"] = Pixels
-    try:
-        toy = Toy.from_toml('later = {name = "pixels", side = 0.1}')
-        assert toy.later == Pixels(side=0.1)
-        assert Toy.from_toml(toy.to_toml(comments=True)) == toy
-        with pytest.raises(SettingsError, match=r"\n  later: side: got -1, expected a size"):
-            Toy.from_toml('later = {name = "pixels", side = -1}')
-    finally:
-        del KNOWN["pixels"]
 
 
 def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
@@ -192,15 +136,6 @@ def test_later_layers_lie_over_earlier_ones_and_problems_name_theirs() -> None:
     assert [problem.path for problem in error.value.problems] == [
         "a.toml: fit.loss", "--set: fit.tolerance", "--set: find",
     ]  # fmt: skip
-
-
-def test_another_choice_in_a_later_layer_drops_the_settings_of_the_one_before() -> None:
-    strips = ("file", {"readout": {"name": "strips", "gain": 3}})
-    assert Toy.from_layers([strips, ("", {"readout": "pads"})]).readout == Pads()
-    assert Toy.from_layers([strips, ("", {"readout": {"name": "pads", "side": 3}})]).readout == Pads(side=3.0)
-    side = ("", {"readout": {"side": 3}})
-    assert Toy.from_layers([("", {"readout": "pads"}), side]).readout == Pads(side=3.0)
-    assert Toy.from_layers([strips, ("", {"readout": {"gain": 4}})]).readout == Strips(gain=4.0)
 
 
 def test_overrides_are_those_of_the_fields() -> None:

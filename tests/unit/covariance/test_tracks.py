@@ -115,7 +115,8 @@ def test_covariance_at_a_radius_is_that_of_the_states_of_the_fit(field: object) 
         digitize=cg.DigitizeSettings(reveal_sides=True),
         fit=cg.FitSettings(outlier_pull=0, kinks=False, states=RADII),
     )
-    states = cg.run(detector, cg.Gun("mu-", p=0.5, cos_theta=0.3, phi=0.4), n=100, seed=3, settings=settings).states
+    gun = cg.Gun("mu-", p=0.5, cos_theta=0.3, phi=0.4)
+    states = cg.run(detector, gun, n=100, seed=3, settings=settings, readout="gaussian").states
     how = {"phi": 0.4, "readout": "gaussian", "reveal_sides": True}
     found = cg.analytic(detector, "mu-", 0.5, 0.3, radius=list(RADII), **how)
     assert found.cov.shape == (len(RADII), 5, 5)
@@ -489,7 +490,7 @@ def test_derivatives_predict_small_changes(key: str) -> None:
     for quantity in ("dr", "dz", "p"):
         left = []
         for step in (KINDS[key], KINDS[key] / 4):
-            (one,) = varied(base, [DESIGN.with_overrides({key: f"x{1 + step!r}"})])
+            (one,) = varied(base, [base.detector.with_overrides({key: f"x{1 + step!r}"})])
             change = float(np.log(one.sigma(quantity) / base.sigma(quantity)))
             left.append(abs(change - float(found.of(key, quantity)) * np.log1p(step)))
         assert left[1] < left[0] / 8 + 2e-6, (quantity, left)
@@ -535,7 +536,8 @@ def test_stereo_angles_follow_the_radius_in_no_steps(layer: str) -> None:
     """Per step, changes are the same for one that adds an X strip (1 in 1000) and one that does not."""
     base = cg.analytic(DESIGN, "mu-", 1.0, 0.3, phi=0.4, readout="gaussian")
     steps = (1e-4, 2e-3)
-    others = varied(base, [DESIGN.with_overrides({f"cgem.{layer}.anode_radius": f"x{1 + h!r}"}) for h in steps])
+    key = f"cgem.{layer}.anode_radius"
+    others = varied(base, [base.detector.with_overrides({key: f"x{1 + h!r}"}) for h in steps])
     small, large = (float(np.log(one.sigma("dz") / base.sigma("dz"))) / h for one, h in zip(others, steps, strict=True))
     assert small == pytest.approx(large, abs=0.01)
 

@@ -27,13 +27,13 @@ def design():
     return load("besiii-cgem-design")
 
 
-def read_out(detector, truths=None, wire_truths=None, n_events=1, seed=1, **settings):
+def read_out(detector, truths=None, wire_truths=None, n_events=1, seed=1, readout="binary", **settings):
     """`digitize` from bare columns; a table that is not given is empty."""
     tables = [
         Table.empty(kind, n_events) if columns is None else Table(kind, columns, n_events)
         for kind, columns in (("truths", truths), ("wire_truths", wire_truths))
     ]
-    return digitize(detector, *tables, DigitizeSettings(**settings), seed)
+    return digitize(detector.with_readout(readout), *tables, DigitizeSettings(**settings), seed)
 
 
 def straight_up(phi, z_in, z_out, layer=1, **kwargs):
@@ -154,8 +154,7 @@ def test_settings_list_every_problem():
 def test_settings_of_wrong_type_are_named():
     """What is no number, and no truth value, is a problem like any other."""
     given = (
-        (DigitizeSettings, {"readout": 1, "reveal_sides": "x"}),
-        (DigitizeSettings, {"readout": GaussianReadout}),
+        (DigitizeSettings, {"wire_times": 1, "reveal_sides": "x"}),
         (BinaryReadout, {"gain": "x", "threshold": [1.7]}),
         (GaussianReadout, {"sigma_x": None, "sigma_v": True}),
     )
