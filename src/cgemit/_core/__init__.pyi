@@ -251,6 +251,9 @@ def read_out_strips(
     threshold: float,
     gains: _Columns = {},
 ) -> dict[str, _Array]: ...
+def seen_crossings(
+    detector: Detector, truths: _Columns, *, efficiency: npt.ArrayLike, seed: int
+) -> npt.NDArray[np.bool_]: ...
 def smear_positions(
     detector: Detector,
     truths: _Columns,

@@ -20,12 +20,12 @@ from cgemit.covariance.tracks import (
     Sample,
     Tracks,
     efficiencies_of,
+    most_unseen,
     near_ends,
     points_of,
     sample_of,
 )
 from cgemit.detector import Detector, ReadoutGroup, load
-from cgemit.detector.gas import most_lost
 from cgemit.detector.keys import once
 from cgemit.detector.parts import DriftChamber, Readout
 from cgemit.reconstruction.candidates import HIT_WIRE
@@ -288,9 +288,7 @@ def _hit_model(
         "prior_sigma": fit.prior_in(detector),
     }  # fmt: skip
     model = with_errors_of(model, detector)
-    lost = _inefficient(detector) or any(
-        most_lost(layer, layer.readout.least_electrons) > _SAMPLED_LOSS for layer in detector.layers
-    )
+    lost = _inefficient(detector) or any(most_unseen(layer) > _SAMPLED_LOSS for layer in detector.layers)
     given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
     return ExpectedHits(model, lost or not given)
 

@@ -20,7 +20,7 @@ from cgemit.chain.executor import Workers, pool_of
 from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
 from cgemit.detector.keys import Part, once
-from cgemit.detector.parts import CgemLayer, DriftChamber
+from cgemit.detector.parts import CgemLayer, DriftChamber, Layer
 from cgemit.helix import path_to
 from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
@@ -100,6 +100,18 @@ _MOST_SLANTED = 0.141
 _LEAST_LOSS = 1e-6
 
 
+def most_unseen(layer: Layer) -> float:
+    """Return the probability that a minimum ionizing particle straight across a layer has no clusters.
+
+    Parameters
+    ----------
+    layer : CgemLayer or MeasurementLayer
+        In a CGEM layer they need electrons.
+    """
+    found = 1 - most_lost(layer) if isinstance(layer, CgemLayer) else 1.0
+    return 1 - layer.efficiency * found
+
+
 def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Floats) -> Floats:
     """Return the probability that tracks from the origin have clusters, (tracks, layers) or, if they are certain, (0,).
 
@@ -110,7 +122,7 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
     detector : Detector
     kappa, tanl, mass : ndarray, (tracks,) float64, (GeV/c)^-1, 1 and GeV/c2
     """
-    if all(most_lost(layer, layer.readout.least_electrons) < _LEAST_LOSS for layer in detector.layers):
+    if all(most_unseen(layer) < _LEAST_LOSS for layer in detector.layers):
         return np.zeros(0)
     slant = np.hypot(1.0, tanl)
     ln_betagamma = np.log(slant / np.abs(kappa) / mass)
@@ -122,7 +134,7 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
         turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)
         path = layer.drift_gap * slant / np.maximum(np.cos(turned), _MOST_SLANTED)
         clusters = clusters_per_mm(layer.gas, ln_betagamma) * path
-        found[:, number] = enough_electrons(layer.gas, clusters, layer.readout.least_electrons)
+        found[:, number] = layer.efficiency * enough_electrons(layer.gas, clusters, layer.readout.least_electrons)
     return found
 
 

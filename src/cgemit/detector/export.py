@@ -18,7 +18,7 @@ from cgemit.detector.build import library
 from cgemit.detector.check import unreachable
 from cgemit.detector.field import KINDS, MapField, field_text, kind_key
 from cgemit.detector.files import OWN_MAP, write_field_map
-from cgemit.detector.keys import CELLS, CENTRED, Key, keys_of, once, opened, required_of
+from cgemit.detector.keys import CELLS, CENTRED, Key, default, keys_of, once, opened, required_of
 from cgemit.detector.material import DensityEffect, Material, elements
 from cgemit.detector.matter import ENDLESS, Slab, slabs
 from cgemit.detector.parts import (
@@ -298,6 +298,7 @@ def _map_beside(detector: Contents) -> str | None:
 def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
     keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
+    keys = {name: key for name, key in keys.items() if not key.quiet or getattr(part, name) != default(kind, name)}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
     return {name: value for name, value in found.items() if value not in (None, {}, "", [])}
 

@@ -22,7 +22,7 @@ from cgemit.base.errors import Problems, refuse
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, Layer, Shell, cgem_layers
+from cgemit.detector.parts import CgemLayer, Contents, Shell, cgem_layers
 
 Floats = NDArray[np.float64]
 
@@ -231,20 +231,16 @@ def cluster_shares(name: str) -> ClusterShares:
 
 
 @once
-def most_lost(layer: Layer, least: int) -> float:
-    """Return the probability that a minimum ionizing particle straight across a layer has no clusters.
+def most_lost(layer: CgemLayer) -> float:
+    """Return the probability that a minimum ionizing particle straight across a layer frees too few electrons.
 
     Parameters
     ----------
-    layer : CgemLayer or MeasurementLayer
-        In a CGEM layer they need electrons.
-    least : int
-        See `enough_electrons`.
+    layer : CgemLayer
+        Of which `Readout.least_electrons` counts.
     """
-    if not isinstance(layer, CgemLayer):
-        return 1 - layer.efficiency
     ionizations = np.array(_fewest_per_mm(layer.gas) * layer.drift_gap)
-    return 1 - float(enough_electrons(layer.gas, ionizations, least))
+    return 1 - float(enough_electrons(layer.gas, ionizations, layer.readout.least_electrons))
 
 
 @once

@@ -56,11 +56,12 @@ class Key(Quantity):
     """One key: its kind is a dimension of `units.NATIVE`, or a name that the reader knows.
 
     `low` and `high` are the sensible range in native units, ends included; `derived` keys may be left out and are
-    then computed from the others.
+    then computed from the others. `quiet` ones are in no file and no hash where they have their default.
     """
 
     doc: str = ""
     choices: tuple[str, ...] = ()
+    quiet: bool = False
     derived: bool = False
 
     def value(self, given: Any) -> float:
@@ -145,6 +146,12 @@ def _key_of(kind: Any) -> Key:
     if found is not None and found.kind in NATIVE:
         return Key(found.kind, found.low, found.high, found.above)
     return Key("setting", doc=expected(kind))
+
+
+@cache
+def default(kind: Any, name: str) -> Any:
+    """Return the default of a field of a dataclass, by its name."""
+    return {f.name: f.default for f in dataclasses.fields(kind)}[name]
 
 
 @cache

@@ -407,6 +407,10 @@ class CgemLayer(MeasuringCylinder):
         ),
         hash=False,
     )  # one from outside the package may have no hash
+    efficiency: float = field(
+        metadata=key("dimensionless", "probability that a crossing is seen in both views", 0.0, 1.0, quiet=True),
+        default=1.0,
+    )
 
     error_slope: ClassVar[float] = 0.0  # of `MeasurementLayer`; a readout has errors of its own
 

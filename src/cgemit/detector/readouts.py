@@ -89,13 +89,12 @@ class Precision(NamedTuple):
 
     sigma_x: float  # mm; 0: the middle of a strip
     sigma_v: float  # mm; 0: the middle of a strip
-    efficiency: float  # of both views together
     sigma_time: float  # ns
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionReadout(Readout):
-    """No strips: positions X and V, with the errors, the efficiency and the time of each layer (`[layer.NAME]`)."""
+    """No strips: positions X and V, with the errors and the time of each layer (`[layer.NAME]`)."""
 
     name: ClassVar[str] = "positions"
     makes: ClassVar[Literal["strips", "positions"]] = "positions"
@@ -118,7 +117,7 @@ class PositionReadout(Readout):
         layer : MeasurementLayer
         """
         layer = self._measured(layer)
-        return Precision(layer.sigma_x, layer.sigma_v, layer.efficiency, layer.sigma_time)
+        return Precision(layer.sigma_x, layer.sigma_v, layer.sigma_time)
 
     def errors(self, layer: Layer) -> tuple[float, float]:
         """Return the errors of X and V of a layer, mm; 0 where it is not measured.
@@ -172,8 +171,8 @@ class GaussianReadout(PositionReadout):
     gain: Gain = GAIN
 
     def precision(self, layer: Layer) -> Precision:
-        """Return the given errors; every crossing is measured, at its true time."""
-        return Precision(self.sigma_x, self.sigma_v, 1.0, 0.0)
+        """Return the given errors; the time is the true one."""
+        return Precision(self.sigma_x, self.sigma_v, 0.0)
 
     def errors(self, layer: Layer) -> tuple[float, float]:
         """Return the given errors."""

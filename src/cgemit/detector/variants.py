@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
-from cgemit.detector.keys import CELLS, Key, Known, Part, keys_of, once
+from cgemit.detector.keys import CELLS, Key, Known, Part, default, keys_of, once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, MeasurementLayer, Readout, SubLayer
 from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
@@ -337,8 +337,10 @@ def _digest_of_all(chamber: DriftChamber) -> str:
 def _digest(part: Part) -> str:
     kind: Any = type(part)
     values = [f"{kind.__name__} {getattr(part, 'label', '')} {getattr(part, 'number', '')}"]
-    for name in keys_of(kind):
+    for name, key in keys_of(kind).items():
         value = getattr(part, name)
+        if key.quiet and value == default(kind, name):
+            continue
         if type(value) is float:
             values.append(f"{name}={value!r}")
         elif isinstance(value, Readout):

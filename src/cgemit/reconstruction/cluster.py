@@ -79,7 +79,7 @@ def warn_of_losses(detector: Detector) -> None:
     ----------
     detector : Detector
     """
-    lost = [(layer, most_lost(layer, layer.readout.least_electrons)) for layer in detector.cgem]
+    lost = [(layer, most_lost(layer)) for layer in detector.cgem]
     thin = [
         f"{layer.label} {loss:.0%} (drift_gap {layer.drift_gap:g} mm)"
         for layer, loss in lost

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -203,13 +204,31 @@ def digitize(
     if steps is None:
         steps = Table.empty("steps", **truths.cover)
     truths, steps = in_layer_axes(detector, truths, steps)
-    digis = _digis(detector, truths, steps, seed)
+    digis = _seen(detector, truths, steps, seed)
     return {
         "wire_hits": read_out_wires(
             detector, wire_truths, reveal_sides=settings.reveal_sides, seed=seed, raw=settings.wire_times == "raw"
         ),
         "digis": without_dead(detector, outside_dead_areas(detector, digis, truths)),
     }
+
+
+def _seen(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
+    """Return the digis of the crossings that the layers see, by their efficiency."""
+    efficiency = np.array([layer.efficiency for layer in detector.layers], np.float64)
+    if (efficiency == 1).all():
+        return _digis(detector, truths, steps, seed)
+    seen = _core.seen_crossings(compiled(detector), dict(truths.columns), efficiency=efficiency, seed=seed)
+    return _of_some(truths, steps, seen, lambda truths, steps: _digis(detector, truths, steps, seed))
+
+
+def _of_some(truths: Table, steps: Table, some: npt.NDArray[np.bool_], read: Callable[[Table, Table], Table]) -> Table:
+    """Return the digis that a function makes of some truths and their steps, with links to all truths."""
+    place = np.cumsum(some) - 1  # of a truth among those that are read
+    own = steps[some[steps["truth"]]]
+    digis = read(truths[some], own.with_columns(truth=place[own["truth"]]))
+    link = np.append(np.flatnonzero(some), -1)[np.maximum(digis["truth"], -1)]
+    return digis.with_columns(truth=link)
 
 
 def _digis(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
@@ -224,13 +243,7 @@ def _digis(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
         return read(groups[0], truths, steps)
     found = []
     for group in groups:
-        is_own = group.owns(truths)
-        of_own = steps[group.owns(steps)]
-        place = np.cumsum(is_own) - 1  # of a truth among those of the group
-        of_own = of_own.with_columns(truth=place[of_own["truth"]])
-        digis = read(group, truths[is_own], of_own)
-        link = np.append(np.flatnonzero(is_own), -1)[np.maximum(digis["truth"], -1)]
-        found.append(digis.with_columns(truth=link))
+        found.append(_of_some(truths, steps, group.owns(truths), partial(read, group)))
     return merged(found)
 
 

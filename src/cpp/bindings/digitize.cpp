@@ -6,6 +6,7 @@
 #include "bindings/inputs.hpp"
 #include "kernels/kernels.hpp"
 #include "simulation/digitize/binary.hpp"
+#include "simulation/digitize/efficiency.hpp"
 #include "simulation/digitize/gaussian.hpp"
 #include "simulation/digitize/projection.hpp"
 #include "simulation/digitize/wires.hpp"
@@ -40,11 +41,21 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
 std::vector<PositionErrors> position_errors(const py::dict& table, const Detector& detector) {
   Inputs in(table, "sigma_x");
   const auto x = in.get<double>("sigma_x"), v = in.get<double>("sigma_v"),
-             efficiency = in.get<double>("efficiency"), time = in.get<double>("sigma_time");
+             time = in.get<double>("sigma_time");
   if (x.size() != detector.layers.size())
     throw std::invalid_argument("errors: expected one row for each layer");
   std::vector<PositionErrors> found;
-  for (std::size_t i = 0; i < x.size(); ++i) found.push_back({x[i], v[i], efficiency[i], time[i]});
+  for (std::size_t i = 0; i < x.size(); ++i) found.push_back({x[i], v[i], time[i]});
+  return found;
+}
+
+Array<bool> seen(const Detector& detector, const py::dict& table, const Array<double>& efficiency,
+                 std::uint64_t seed) {
+  Inputs in(table, "event");
+  const TruthColumns truths = truth_columns(in);
+  const std::span<const double> of_layers = per_layer(efficiency, detector);
+  Array<bool> found(static_cast<py::ssize_t>(truths.size()));
+  seen_crossings(detector, truths, of_layers, seed, {found.mutable_data(), truths.size()});
   return found;
 }
 
@@ -113,6 +124,9 @@ void bind_digitize(py::module_& module) {
              py::kw_only(), py::arg("gain"), py::arg("w_values"), py::arg("threshold"),
              py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: binary readout.");
+  module.def("seen_crossings", &seen, py::arg("detector"), py::arg("truths"), py::kw_only(),
+             py::arg("efficiency"), py::arg("seed"),
+             "Which crossings the layers see, (truths,), by the efficiency of each layer.");
   module.def("smear_positions", &smeared, py::arg("detector"), py::arg("truths"), py::kw_only(),
              py::arg("gain"), py::arg("w_values"), py::arg("errors"), py::arg("seed"),
              "Columns of digis from columns of truths: readout without strips.");

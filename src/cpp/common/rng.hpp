@@ -52,6 +52,7 @@ enum class Purpose : std::uint32_t {
   channel_kind = 21,         // a cell (block 0) or a strip (block 1), of event 0 and seed 0
   mixed_event = 22,
   start_time = 23,
+  efficiency = 24,  // of a crossing; the place is its layer
 };
 
 // Uniform in (0, 1), never 0 and never 1: 32 bits, centred.

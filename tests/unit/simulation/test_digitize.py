@@ -790,3 +790,36 @@ def test_layers_beside_a_sensor_are_read_out_as_alone(readout):
         assert (digis["gid"] >= first)[digis["strip"] >= 0].all()
         order = np.lexsort((digis["layer"], digis["event"]))
         assert np.array_equal(order, np.arange(len(order)))
+
+
+@pytest.mark.parametrize("readout", ["binary", "tiger", "gaussian"])
+def test_a_layer_sees_crossings_with_its_efficiency(readout):
+    """The same ones whatever its readout; both views lose them, and the other layers nothing."""
+    n, layer = 1000, DETECTOR.with_overrides({"cgem.L2.efficiency": 0.8}).with_readout(readout)
+    gun = Gun("mu-", p=1.0, cos_theta=0.0)
+    whole, found = (run(one, gun, n, seed=4, readout=readout, until="digitize") for one in (DETECTOR, layer))
+    np.testing.assert_array_equal(found.truths["energy"], whole.truths["energy"])
+    hit = found.digis["truth"]
+    seen = np.isin(np.arange(len(found.truths)), hit)
+    draws = _core.seen_crossings(compiled(layer), dict(found.truths.columns), efficiency=[1.0, 0.8, 1.0], seed=4)
+    could = np.isin(np.arange(len(found.truths)), whole.digis["truth"])
+    np.testing.assert_array_equal(seen, draws & could)
+    assert_within(draws[found.truths["layer"] == 1].mean(), 0.8, np.sqrt(0.8 * 0.2 / n))
+    assert draws[found.truths["layer"] != 1].all()
+    for row in (0, 1):
+        assert set(found.digis["truth"][found.digis["view"] == row]) <= set(np.flatnonzero(draws))
+    same = np.isin(whole.digis["truth"], np.flatnonzero(draws))
+    for name in ("event", "layer", "view", "strip", "charge", "time", "truth"):
+        np.testing.assert_array_equal(found.digis[name], whole.digis[name][same], err_msg=name)
+
+
+def test_the_covariance_expects_the_hits_that_layers_see():
+    detector = DETECTOR.with_overrides({"cgem.L1.efficiency": 0.7})
+    found, whole = (analytic(one, p=1.0, cos_theta=0.1, samples=4000) for one in (detector, DETECTOR))
+    assert_within(float(whole.n_clusters - found.n_clusters), 2 * 0.3, 2 * np.sqrt(0.3 * 0.7 / 4000))
+    assert "efficiency" not in DETECTOR.to_toml().partition("[drift_chamber")[0]
+    assert (
+        detector.content_hash
+        != DETECTOR.content_hash
+        == detector.with_overrides({"cgem.L1.efficiency": 1.0}).content_hash
+    )

@@ -43,7 +43,6 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
                         static_cast<std::uint32_t>(truths.particle[row]));
     const auto place = static_cast<std::uint32_t>(truths.layer[row]);
     const Block words = stream.block(Purpose::digitization, place, earlier(truths, event_begin, row));
-    if (open_unit(words[2]) > errors.efficiency) return std::nullopt;
     DigiRow common{truths.event[row], truths.layer[row], sheet, 0};
     common.charge = 0.5 * truths.energy[row] * per_energy;
     common.time = truths.time[row] + errors.sigma_time * normal_quantile(open_unit(words[3]));

@@ -14,7 +14,6 @@ namespace cgemit {
 // How one layer measures positions.
 struct PositionErrors {
   double sigma_x, sigma_v;  // mm, of X = r_readout dphi and of V; 0: the middle of a strip
-  double efficiency;        // for both views together
   double sigma_time;        // ns
 };
 
