@@ -145,12 +145,12 @@ axes.legend(ncols=3)
 # probability is flat. Strips, hard scatters and straggling add tails; the cores stay close to 1.
 
 # %%
-exact = cg.Settings(
-    simulate=cg.SimulateSettings(fluctuations="gaussian"),
-    digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+settings = cg.Settings(
+    simulate=cg.SimulateSettings(fluctuations="gaussian"), digitize=cg.DigitizeSettings(reveal_sides=True)
 )
+exact = {"settings": settings, "readout": "gaussian"}
 gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.8, 0.8))
-samples = {"all Gaussian": cg.run(detector, gun, n=3000, seed=2, settings=exact)}
+samples = {"all Gaussian": cg.run(detector, gun, n=3000, seed=2, **exact)}
 samples["default"] = cg.run(detector, gun, n=3000, seed=2)
 cg.study.pulls(samples["all Gaussian"].tracks)
 
@@ -175,5 +175,5 @@ left.legend()
 
 # %%
 believed = detector.with_overrides({"field.bz": "-1.003 T"})
-wrong = cg.run(detector, gun, n=3000, seed=2, settings=exact, fit_detector=believed)
+wrong = cg.run(detector, gun, n=3000, seed=2, fit_detector=believed, **exact)
 cg.study.pulls(wrong.tracks)["kappa"]

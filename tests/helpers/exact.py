@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2, kstest
@@ -13,10 +16,13 @@ from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 from stats import assert_within
 
-EXACT = Settings(
-    simulate=SimulateSettings(fluctuations="gaussian", decays=False),
-    digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
-)
+
+def exact(**stages: Any) -> dict[str, Any]:
+    """Return settings and readout of a run in that mode, with other settings of some stages."""
+    settings = Settings(
+        simulate=SimulateSettings(fluctuations="gaussian", decays=False), digitize=DigitizeSettings(reveal_sides=True)
+    )
+    return {"settings": replace(settings, **stages), "readout": "gaussian"}
 
 
 def assert_no_bias(pull: npt.NDArray[np.float64], what: str) -> None:

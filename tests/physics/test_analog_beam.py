@@ -204,7 +204,7 @@ def test_analytic_errors_at_one_angle(
     """They hold at every angle, too; with errors of all angles d_z is 5 % off or more."""
     expected = as_expected(readout, cos_theta, 8000)
     if cos_theta == -0.8 and isinstance(readout, AnalogReadout):
-        (group,) = load("besiii-cgem-design").groups(readout)
+        (group,) = load("besiii-cgem-design").with_readout(readout).groups
         of_all = [one.mean(axis=1) for one in clusterer_of(readout).expected_errors(group)]
         expect(monkeypatch, AnalogReadout, of_all)
         wrong = analytic("besiii-cgem-design", "mu-", p=1.0, cos_theta=cos_theta, readout=readout)

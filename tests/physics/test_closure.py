@@ -16,11 +16,10 @@ from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import PARAMETERS
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study import measure, pulls
-from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
+from exact import assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal, exact
 from stats import assert_within
 
 N = 6000
-HIDDEN = DigitizeSettings(readout="gaussian")
 
 
 def with_field(name: str, bz: float) -> Detector:
@@ -32,9 +31,7 @@ def with_field(name: str, bz: float) -> Detector:
 @cache
 def exact_sample(particle: str, p: float, bz: float, cos_theta: float) -> Result:
     """Tracks in the mode in which everything is Gaussian and known."""
-    return run(
-        with_field("besiii-cgem-design", bz), Gun(particle, p=p, cos_theta=cos_theta), N, seed=11, settings=EXACT
-    )
+    return run(with_field("besiii-cgem-design", bz), Gun(particle, p=p, cos_theta=cos_theta), N, seed=11, **exact())
 
 
 # Each momentum with one charge and field by default; the other combinations are slow.
@@ -72,7 +69,7 @@ def test_pull_gate_sees_a_wrong_field() -> None:
         Gun("mu-", p=0.5, cos_theta=0.0),
         N,
         seed=11,
-        settings=EXACT,
+        **exact(),
         fit_detector=with_field("besiii-cgem-design", -1.001),
     )
     with pytest.raises(AssertionError, match="standard errors"):
@@ -87,7 +84,7 @@ def test_pull_gate_sees_missing_material() -> None:
         Gun("mu-", p=0.5, cos_theta=0.0),
         n,
         seed=11,
-        settings=EXACT,
+        **exact(),
         fit_detector=dataclasses.replace(detector, beam_pipe=detector.beam_pipe[:1]),
     )
     with pytest.raises(AssertionError, match="standard errors"):
@@ -121,8 +118,8 @@ def test_sides_are_found() -> None:
 def widths_of_sides(sigma: str = "130 um") -> tuple[float, float, tuple[float, ...]]:
     """Return core widths of p with sides known and to be found, and widths of the pulls with sides to be found."""
     detector = load("besiii-cgem-design").with_overrides({"drift_chamber.sigma": sigma})
-    gun, hidden = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), dataclasses.replace(EXACT, digitize=HIDDEN)
-    known, found = (run(detector, gun, 4000, seed=15, settings=settings).tracks for settings in (EXACT, hidden))
+    gun, sides = Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), (exact(), exact(digitize=DigitizeSettings()))
+    known, found = (run(detector, gun, 4000, seed=15, **how).tracks for how in sides)
     cores = (measure(tracks["res_p"]).core for tracks in (known, found))
     return *cores, tuple(found[f"pull_{name}"].std() for name in PARAMETERS)
 

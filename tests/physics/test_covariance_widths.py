@@ -49,11 +49,7 @@ def test_equal_layers_without_matter_are_those_of_gluckstern(n: int, sigma: floa
     assert kappa != pytest.approx(in_closed_form(n + 1, 600.0, sigma) * RADIUS_PER_KAPPA / 1.5, rel=3e-3)
 
 
-def settings(readout: str, fluctuations: str) -> cg.Settings:
-    return cg.Settings(
-        simulate=cg.SimulateSettings(fluctuations=fluctuations, deltas=False, decays=False),
-        digitize=cg.DigitizeSettings(readout=readout),
-    )
+SETTINGS = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian", deltas=False, decays=False))
 
 
 #: Particle, p (GeV/c) and cos(theta) of the points that every run of the tests measures.
@@ -68,7 +64,7 @@ POINTS += [("K+", 0.8, 0.9)]
 def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: float, cos_theta: float) -> None:
     """Where the fit's assumptions hold: 2 % or 3 standard errors."""
     gun = cg.Gun(particle, p=p, cos_theta=cos_theta)
-    result = cg.run(detector, gun, n=8000, seed=21, settings=settings("gaussian", "gaussian"))
+    result = cg.run(detector, gun, n=8000, seed=21, settings=SETTINGS, readout="gaussian")
     found = cg.analytic(detector, particle, p, cos_theta, readout="gaussian")
     for quantity in ("dr", "phi0", "kappa", "dz", "tanl", "p", "pt", "theta", "p_rel", "pt_rel"):
         measured = cg.resolution(result, quantity)
@@ -81,7 +77,7 @@ def test_widths_are_those_of_simulated_events(detector: str, particle: str, p: f
 def test_binary_clusters_are_a_mixture(detector: str) -> None:
     """RMS of the mixture, with sizes that the strips under the track decide; its core up to the shape of the errors."""
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9))
-    result = cg.run(detector, gun, n=10_000, seed=5, settings=settings("binary", "gaussian"))
+    result = cg.run(detector, gun, n=10_000, seed=5, settings=SETTINGS)
     found = cg.analytic(detector, "mu-", 1.0, (-0.9, 0.9), samples=2048)
     for quantity in ("dr", "dz", "p"):
         core = float(found.sigma(quantity))
@@ -98,10 +94,11 @@ def test_widths_in_the_gaps_are_those_of_simulated_events(particle: str, p: floa
     middles = [layer.r_mid for layer in design.cgem]
     how = cg.Settings(
         simulate=cg.SimulateSettings(fluctuations="gaussian", deltas=False, decays=False),
-        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        digitize=cg.DigitizeSettings(reveal_sides=True),
         fit=cg.FitSettings(states=tuple(middles)),
     )
-    result = cg.run(design, cg.Gun(particle, p=p, cos_theta=cos_theta), n=n, seed=8, settings=how)
+    gun = cg.Gun(particle, p=p, cos_theta=cos_theta)
+    result = cg.run(design, gun, n=n, seed=8, settings=how, readout="gaussian")
     found = cg.analytic(design, particle, p, cos_theta, radius=middles, readout="gaussian", reveal_sides=True)
     origin = cg.analytic(design, particle, p, cos_theta, readout="gaussian", reveal_sides=True)
     states, truths = result.states, result.truths
@@ -134,9 +131,9 @@ def test_each_cause_alone_makes_its_terms_of_the_budget() -> None:
     for cause, (detector, readout, fluctuations) in causes.items():
         how = cg.Settings(
             simulate=cg.SimulateSettings(fluctuations=fluctuations, deltas=False, decays=False),
-            digitize=cg.DigitizeSettings(readout=readout, reveal_sides=True),
+            digitize=cg.DigitizeSettings(reveal_sides=True),
         )
-        ran = cg.run(detector, gun, n=5000, seed=4, settings=how, until="find")
+        ran = cg.run(detector, gun, n=5000, seed=4, settings=how, readout=readout, until="find")
         n = len(ran.clusters)
         clusters = dict(ran.clusters.columns) | {"err_x": np.full(n, given.sigma_x), "err_v": np.full(n, given.sigma_v)}
         wires = dict(ran.wire_hits.columns) | {"sigma": np.full(len(ran.wire_hits), 0.13)}

@@ -11,7 +11,7 @@ import cgemit as cg
 from cgemit.chain.result import Result
 from cgemit.detector import load
 from cgemit.reconstruction.fit import PARAMETERS
-from exact import EXACT, assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal
+from exact import assert_no_bias, assert_probability_is_flat, assert_pulls_are_standard_normal, exact
 from fields import HARMONIC
 
 N = 3000
@@ -26,7 +26,7 @@ POINTS = [
 def exact_sample(field: str, particle: str, p: float, cos_theta: float) -> Result:
     """Tracks in the mode in which everything is Gaussian and known."""
     detector = load("besiii-cgem-design").with_field(field)
-    return cg.run(detector, cg.Gun(particle, p=p, cos_theta=cos_theta), N, seed=11, settings=EXACT)
+    return cg.run(detector, cg.Gun(particle, p=p, cos_theta=cos_theta), N, seed=11, **exact())
 
 
 @pytest.mark.parametrize(("field", "particle", "p", "cos_theta"), POINTS)
@@ -40,7 +40,7 @@ def test_pulls_of_displaced_vertices() -> None:
     """The truth is tracked back through the map, and the fit is where it says."""
     detector = load("besiii-cgem-design").with_field(HARMONIC)
     gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.5, 0.5), vertex=(8, 25, 10))
-    tracks = cg.run(detector, gun, N, seed=12, settings=EXACT).tracks
+    tracks = cg.run(detector, gun, N, seed=12, **exact()).tracks
     for name in PARAMETERS:
         assert_no_bias(tracks[f"pull_{name}"], name)
 
@@ -50,8 +50,8 @@ def test_pull_gate_sees_a_wrong_field(believed: str) -> None:
     detector = load("besiii-cgem-design").with_field(HARMONIC)
     wrong = {"uniform": {"field.kind": "uniform"}, "a thousandth more": {"field.bz": "-0.98098 T"}}[believed]
     result = cg.run(
-        detector, cg.Gun("mu-", p=1.0, cos_theta=-0.5), N, seed=11, settings=EXACT,
-        fit_detector=detector.with_overrides(wrong),
+        detector, cg.Gun("mu-", p=1.0, cos_theta=-0.5), N, seed=11,
+        fit_detector=detector.with_overrides(wrong), **exact(),
     )  # fmt: skip
     with pytest.raises(AssertionError, match="standard errors"):
         assert_no_bias(result.tracks["pull_kappa"], "kappa")

@@ -11,7 +11,7 @@ import pytest
 import cgemit as cg
 from cgemit import _core
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings, core_arguments
-from exact import EXACT
+from exact import exact
 from tracks import hits_of_result, order_of_matter
 
 FIT = FitSettings(residuals=True, tolerance=1e-7, max_iterations=50, outlier_pull=0, states=("origin",))
@@ -23,7 +23,7 @@ N = 100
 @cache
 def sample(name: str):
     """Return detector, core, hits of simulated tracks, and what the core makes of them."""
-    result = cg.run(name, GUN, N, seed=17, settings=EXACT, workers=1)
+    result = cg.run(name, GUN, N, seed=17, workers=1, **exact())
     hits = hits_of_result(result)
     start = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     arguments = core_arguments(result.detector, hits, result.particles["mass"], start, FIT)

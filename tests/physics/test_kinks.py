@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from functools import cache
 
@@ -14,7 +13,7 @@ from scipy.stats import chi2, kstest
 import cgemit as cg
 from cgemit import _core
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings
-from exact import EXACT
+from exact import exact
 from fields import HARMONIC
 from pages.optimal import Hit, Optimum, follow, optimum, stack_of
 from tracks import hits_of_result
@@ -27,7 +26,7 @@ GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
 def sample(kinks: bool, gun: cg.Gun = GUN, n: int = 4) -> cg.Result:
     """Fit with or without kinks; the same tracks."""
     fit = FitSettings(tolerance=1e-4, max_iterations=30, outlier_pull=0, kinks=kinks)
-    return cg.run("besiii-cgem-design", gun, n, seed=5, settings=dataclasses.replace(EXACT, fit=fit))
+    return cg.run("besiii-cgem-design", gun, n, seed=5, **exact(fit=fit))
 
 
 def helices(result: cg.Result) -> np.ndarray:
@@ -141,8 +140,7 @@ def test_states_are_those_of_the_fit(field: str) -> None:
     detector = cg.load("besiii-cgem-design")
     detector = detector if field == "uniform" else detector.with_field(field)
     fit = FitSettings(tolerance=1e-6, max_iterations=40, residuals=True, states=("origin", "hits"))
-    settings = dataclasses.replace(EXACT, fit=fit)
-    result = cg.run(detector, cg.Gun("mu+", p=0.12, cos_theta=(-0.5, 0.5)), 30, seed=5, settings=settings)
+    result = cg.run(detector, cg.Gun("mu+", p=0.12, cos_theta=(-0.5, 0.5)), 30, seed=5, **exact(fit=fit))
     assert result.states is not None
     states, tracks = result.states, result.tracks
     origin = states["surface"] == 0

@@ -344,15 +344,15 @@ def test_a_read_out_sees_its_own_layers_alone() -> None:
         truths = result.truths[rows].with_columns(layer=result.truths["layer"][rows] - 1)
         of = result.steps[np.isin(result.steps["truth"], rows)]
         steps = of.with_columns(layer=of["layer"] - 1, truth=np.searchsorted(rows, of["truth"]))
-        digitize = result.settings.digitize
-        expected = cg.digitize(alone, truths, result.wire_truths, digitize, 4, steps=steps)["digis"]
+        cgem = alone.with_readout(readout)
+        expected = cg.digitize(cgem, truths, result.wire_truths, result.settings.digitize, 4, steps=steps)["digis"]
         inside = (result.digis["layer"] > 0) & (result.digis["layer"] < 4)
         for name in ("strip", "charge", "time", "position", "sheet", "view"):
             np.testing.assert_array_equal(result.digis[name][inside], expected[name])
         if readout != "gaussian":  # running numbers of strips, which dead and hot strips are known by
             before = detector.layer["IN"].strips_x + detector.layer["IN"].strips_v
             np.testing.assert_array_equal(result.digis["gid"][inside], expected["gid"] + before)
-        clusters = cg.cluster(alone, expected, readout=digitize.readout)
+        clusters = cg.cluster(cgem, expected)
         inside = (result.clusters["layer"] > 0) & (result.clusters["layer"] < 4)
         for name in ("x", "v", "err_x", "err_v", "phi", "z", "charge"):
             np.testing.assert_array_equal(result.clusters[name][inside], clusters[name])
@@ -365,8 +365,8 @@ def test_a_read_out_sees_its_own_layers_alone() -> None:
 
 def test_errors_of_layers_and_of_a_gaussian_readout_are_independent() -> None:
     """A layer before the CGEM has the number that the first CGEM layer has in its readout."""
-    settings = cg.Settings(digitize=cg.DigitizeSettings(readout="gaussian"))
-    result = cg.run(mixed(sigma="100 um"), cg.Gun("mu-", p=5.0, cos_theta=0.0), 2000, 4, settings=settings)
+    gun = cg.Gun("mu-", p=5.0, cos_theta=0.0)
+    result = cg.run(mixed(sigma="100 um"), gun, 2000, 4, readout="gaussian")
     clusters = result.clusters[result.clusters["view"] == 0]
     truths, layers = result.truths[clusters["truth"]], result.detector.layers
     errors = np.zeros((2000, len(layers)))

@@ -12,7 +12,7 @@ from cgemit.fit_matter import tuned
 from cgemit.helix import RADIUS_PER_KAPPA
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings
-from exact import EXACT
+from exact import exact
 from pages.fit import N_SIGMA, Point, measure_point
 from pages.linear_table import TABLE, lossless_stack, table_stack
 from pages.optimal import WIRE, Hit, Stack, errors, optimum
@@ -108,7 +108,7 @@ def test_found_widths_are_optimal(p: float, cos_theta: float) -> None:
 def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     """The optimum for wires of 160 um is far from the widths found with 130 um."""
     detector = load("besiii-cgem-design")
-    tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, settings=EXACT).tracks
+    tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, **exact()).tracks
     _, helix, _, hits = track("besiii-cgem-design", 1.0, 0.0)
     wrong = [Hit(hit.kind, hit.layer, hit.channel, 0.16 if hit.kind == WIRE else hit.sigma) for hit in hits]
     expected = errors(helix, optimum(detector, wrong, helix, MUON, CUT).cov)["p"]

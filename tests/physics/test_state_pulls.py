@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 
 import numpy as np
@@ -22,7 +21,7 @@ from cgemit.reconstruction.states import StateStatus, Surface
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
-from exact import EXACT, assert_standard_normal
+from exact import assert_standard_normal, exact
 from fields import HARMONIC
 
 pytestmark = pytest.mark.slow
@@ -49,11 +48,12 @@ def sample(
     particle: str, p: float, field: str, believed: Detector | None = None
 ) -> tuple[dict[str, Table], dict[str, Table]]:
     """Simulate tracks in the mode in which everything is Gaussian; fit them without the outer wires."""
-    detector = FIELDS[field]
+    how = exact()
+    detector, settings = FIELDS[field].with_readout(how["readout"]), how["settings"]
     particles = generate(Gun(particle, p=p, cos_theta=(-0.5, 0.5)), N, seed=21)
-    tables = simulate(detector, particles, EXACT.simulate, seed=21)
-    tables |= digitize(detector, tables["truths"], tables["wire_truths"], EXACT.digitize, 21, steps=tables["steps"])
-    tables["clusters"] = cluster(detector, tables["digis"], readout=EXACT.digitize.readout)
+    tables = simulate(detector, particles, settings.simulate, seed=21)
+    tables |= digitize(detector, tables["truths"], tables["wire_truths"], settings.digitize, 21, steps=tables["steps"])
+    tables["clusters"] = cluster(detector, tables["digis"])
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     found = truth.by_truth(detector, *(tables[name] for name in names))
     hits = found["candidate_hits"]
@@ -204,8 +204,8 @@ def test_gate_sees_a_wrong_field(believed: str) -> None:
 @cache
 def hypotheses() -> Table:
     """Fit kaons of 0.3 GeV/c with three masses."""
-    settings = dataclasses.replace(EXACT, fit=FitSettings(hypothesis=("pi", "K", "p")))
-    return run(DETECTOR, Gun("K+", p=0.3, cos_theta=(-0.5, 0.5)), N, seed=22, settings=settings).tracks
+    how = exact(fit=FitSettings(hypothesis=("pi", "K", "p")))
+    return run(DETECTOR, Gun("K+", p=0.3, cos_theta=(-0.5, 0.5)), N, seed=22, **how).tracks
 
 
 def test_the_right_mass_is_unbiased_and_wrong_ones_are_not() -> None:

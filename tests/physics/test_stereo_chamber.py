@@ -47,11 +47,9 @@ def test_segments_may_leave_out_a_layer() -> None:
 
 def test_widths_are_those_of_simulated_events() -> None:
     """Where the fit's assumptions hold: 4 standard errors, with which 10 % more would be seen."""
-    how = cg.Settings(
-        simulate=cg.SimulateSettings(fluctuations="gaussian", deltas=False, decays=False),
-        digitize=cg.DigitizeSettings(readout="gaussian"),
-    )
-    result = cg.run(NAME, cg.Gun("mu-", p=0.5, cos_theta=0.4), n=4000, seed=21, settings=how)
+    how = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian", deltas=False, decays=False))
+    gun = cg.Gun("mu-", p=0.5, cos_theta=0.4)
+    result = cg.run(NAME, gun, n=4000, seed=21, settings=how, readout="gaussian")
     covariance = cg.analytic(NAME, "mu-", 0.5, 0.4, readout="gaussian")
     for quantity in ("dr", "phi0", "kappa", "dz", "tanl", "p"):
         measured = cg.resolution(result, quantity)

@@ -48,7 +48,7 @@ def projected_thin():
 
 def ratios(detector, name, p, events=40_000):
     """Core widths at 90 degrees over the table of linear covariances, and their largest relative error."""
-    result = cgemit.run(detector, cgemit.Gun("mu-", p=p, cos_theta=0.0), events, 2, settings=GAUSSIAN)
+    result = cgemit.run(detector, cgemit.Gun("mu-", p=p, cos_theta=0.0), events, 2, **GAUSSIAN)
     assert result.removed() == {}
     widths = [resolution(result.tracks, quantity) for quantity in ("dr", "dz", "p")]
     found = [w.core / value for w, value in zip(widths, TABLE[name][p, 0.0], strict=True)]

@@ -158,7 +158,7 @@ def test_electrons_of_the_readout_are_multiplied() -> None:
     more = simulation.with_electrons(muons.steps, 4)
     assert more["n_electrons"].sum() == 4 * muons.steps["n_electrons"].sum() > 0
     for one in (TigerReadout(), Apv25Readout()):
-        digitizer, samples, (group,) = digitizer_of(one), (muons.steps, more), muons.detector.groups(one)
+        digitizer, samples, (group,) = digitizer_of(one), (muons.steps, more), muons.detector.with_readout(one).groups
         charge = [digitizer.digitize(group, muons.truths, steps, 1)["charge"].sum() for steps in samples]
         assert 2.5 < charge[1] / charge[0] < 6  # thresholds and saturation change the factor
 

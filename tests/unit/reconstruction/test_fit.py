@@ -29,7 +29,7 @@ from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.tables import Table
 from clusterers import expect
-from exact import EXACT, assert_pulls_are_standard_normal
+from exact import assert_pulls_are_standard_normal, exact
 from pages.performance.stages import smeared
 from pages.scenarios import SCENARIOS, Hits, exchange_clusters
 from tracks import order_of_matter, true_views
@@ -479,7 +479,7 @@ ERR_X, ERR_V, RHO = 0.2, 0.3, 0.8
 def points():
     """Return a run of muons, and clusters whose XV rows have correlated errors, as which they are smeared."""
     gun = cg.Gun("mu-", p=(0.6, 1.5), cos_theta=(-0.7, 0.7))
-    result = cg.run(DETECTOR_POINTS, gun, 60, seed=6, settings=EXACT)
+    result = cg.run(DETECTOR_POINTS, gun, 60, seed=6, **exact())
     clusters, random = result.clusters, np.random.default_rng(1)
     n = len(clusters)
     a, b = random.standard_normal((2, n))
@@ -637,7 +637,7 @@ def correlated(result: cg.Result, rho: npt.NDArray[np.float64] | None = None) ->
 
 @pytest.fixture(scope="module")
 def muons() -> cg.Result:
-    return cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), 1500, seed=6, settings=EXACT)
+    return cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), 1500, seed=6, **exact())
 
 
 def tracks_of(result: cg.Result, clusters: Table) -> Table:
@@ -734,10 +734,10 @@ def test_impossible_correlations_are_refused_correlated(muons: cg.Result, rho: f
 def test_covariance_without_events(radius: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is that of fits, at the origin and at a radius, and without the correlation it is another one."""
     settings = cg.Settings(
-        simulate=cg.SimulateSettings(fluctuations="off"),
-        digitize=cg.DigitizeSettings(readout="gaussian", reveal_sides=True),
+        simulate=cg.SimulateSettings(fluctuations="off"), digitize=cg.DigitizeSettings(reveal_sides=True)
     )
-    result = cg.run(DESIGN, cg.Gun("mu-", p=0.7, cos_theta=0.4, phi=0.3), 200, seed=3, settings=settings)
+    gun = cg.Gun("mu-", p=0.7, cos_theta=0.4, phi=0.3)
+    result = cg.run(DESIGN, gun, 200, seed=3, settings=settings, readout="gaussian")
     fit_settings = cg.FitSettings(outlier_pull=0, kinks=False, states=() if radius is None else (radius,))
     hits = (result.wire_hits, result.candidates, result.candidate_hits)
     tables = fit(DESIGN, correlated(result), *hits, fit_settings)

@@ -17,7 +17,7 @@ from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus
 from cgemit.reconstruction.states import StateStatus, Surface, extrapolate
 from cgemit.tables import Table
-from exact import EXACT
+from exact import exact
 from fields import HARMONIC, harmonic_by_hand, small_map
 from oracles import LIGHT
 from tracks import MUON, hits_on, on_helix, transport, without_matter
@@ -34,9 +34,9 @@ CLOSE = 1e-3
 
 def states_of(surfaces, gun=None, n=40, **changes):
     """Return the result of a run in which everything is Gaussian, and its states."""
-    settings = dataclasses.replace(EXACT, fit=FitSettings(states=surfaces, residuals=True, **changes))
+    how = exact(fit=FitSettings(states=surfaces, residuals=True, **changes))
     gun = gun or Gun("mu-", p=(0.3, 1.0), cos_theta=(-0.6, 0.6), vertex_sigma=(1.0, 1.0, 5.0))
-    result = cg.run(DETECTOR, gun, n, seed=5, settings=settings)
+    result = cg.run(DETECTOR, gun, n, seed=5, **how)
     return result, result.states
 
 
@@ -243,7 +243,7 @@ def test_asking_for_states_changes_no_track(run):
     """Tracks are the same with and without."""
     result, _ = run
     settings = dataclasses.replace(result.settings, fit=FitSettings(tolerance=CLOSE))
-    bare = cg.run(DETECTOR, result.gun, 40, seed=5, settings=settings)
+    bare = cg.run(result.detector, result.gun, 40, seed=5, settings=settings)
     assert bare.tracks == result.tracks.with_columns()
     assert bare.states is None
     assert "states" not in bare.tables
