@@ -17,9 +17,7 @@ NAMES = {"shift_x": "100 um", "shift_z": "100 um", "tilt_x": "1 mrad", "rotation
 #: Quantity -> heading, factors from mm, GeV/c and from the units of `resolution` to those of the heading.
 QUANTITIES = {"dr": ("d_rho [µm]", 1000, 1), "dz": ("d_z [µm]", 1000, 1000), "p": ("p [MeV/c]", 1000, 1)}
 EVENTS = 4000
-SETTINGS = cg.Settings.from_dict(
-    {"simulate": {"fluctuations": "gaussian", "deltas": False}, "digitize": {"readout": "gaussian"}}
-)
+SETTINGS = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian", deltas=False))
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,9 @@ class Change:
 def fitted(detector: cg.Detector, nominal: cg.Detector, events: int) -> cg.Table:
     """Return the tracks of 1 GeV/c muons in a detector, fitted as if its parts were in place."""
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
-    return cg.run(detector, gun, events, seed=1, settings=SETTINGS, fit_detector=nominal).tracks
+    return cg.run(
+        detector, gun, events, seed=1, settings=SETTINGS, readout="gaussian", fit_detector=nominal
+    ).tracks  # fmt: skip
 
 
 def changes(events: int) -> Iterator[Change]:

@@ -92,9 +92,10 @@ def ratios(point: Point, tracks: int, seed: int) -> list[Ratio]:
     """Simulate and fit the tracks of a point and return the ratios of all quantities."""
     mode, detector, particle, p, cos_theta = point
     readout, simulate, _ = MODES[mode]
-    settings = cg.Settings(simulate=simulate, digitize=cg.DigitizeSettings(readout=readout))
-    gun = cg.Gun(particle, p=p, cos_theta=cos_theta)
-    result = cg.run(detector, gun, n=tracks, seed=seed, settings=settings, keep=("tracks",), workers=1)
+    settings, gun = cg.Settings(simulate=simulate), cg.Gun(particle, p=p, cos_theta=cos_theta)
+    result = cg.run(
+        detector, gun, n=tracks, seed=seed, settings=settings, readout=readout, keep=("tracks",), workers=1
+    )  # fmt: skip
     expected = cg.analytic(detector, particle, p, cos_theta, readout=readout, samples=SAMPLES)
     rows = []
     for quantity in QUANTITIES:

@@ -56,15 +56,17 @@ VIEWS = ("x", "v", "w")
 
 # The particles do not decay: a gate on the fit is about tracks of one particle.
 WITHOUT_DECAYS = cg.Settings(simulate=SimulateSettings(decays=False))
+#: Settings that are exact with the readout `gaussian` alone.
 EXACT = cg.Settings(
     simulate=SimulateSettings(fluctuations="gaussian", decays=False),
-    digitize=DigitizeSettings(readout="gaussian", reveal_sides=True),
+    digitize=DigitizeSettings(reveal_sides=True),
     fit=FitSettings(residuals=True),
 )
+#: Readout and settings of each mode.
 MODES = {
-    "gaussian": EXACT,
-    "hidden": replace(EXACT, digitize=DigitizeSettings(readout="gaussian")),
-    "default": WITHOUT_DECAYS,
+    "gaussian": ("gaussian", EXACT),
+    "hidden": ("gaussian", replace(EXACT, digitize=DigitizeSettings())),
+    "default": ("binary", WITHOUT_DECAYS),
 }
 
 #: Titles of the samples in the table of pulls.
@@ -289,14 +291,16 @@ def measure_point(
 
     The optimum is worked out for `some` of the tracks.
     """
-    settings, gun = MODES[point.mode], cg.Gun(point.particle, p=point.p, cos_theta=point.cos_theta)
+    (readout, settings), gun = MODES[point.mode], cg.Gun(point.particle, p=point.p, cos_theta=point.cos_theta)
     seed = zlib.crc32(repr(point).encode())
     columns: dict[str, list[npt.NDArray[np.generic]]] = {}
     names = ["status", "chi2", "ndf", *(f"{kind}_{name}" for kind in ("pull", "res", "err") for name in QUANTITIES)]
     sums, first = _Sums({}, {}, {}), None
     for block in range(math.ceil(n / BLOCK)):
         count = min(BLOCK, n - block * BLOCK)
-        result = cg.run(point.detector, gun, count, seed + block, settings=settings, workers=threads)
+        result = cg.run(
+            point.detector, gun, count, seed + block, settings=settings, readout=readout, workers=threads
+        )  # fmt: skip
         first = first or result
         for name in names:
             columns.setdefault(name, []).append(result.tracks[name])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,10 +40,11 @@ TABLE = {
     IDC: {(0.5, 0.0): (169.4, 0.996, 1.450), (1.0, 0.0): (108.9, 0.982, 4.185)},
 }
 #: The table's errors of hits, and no noise but Gaussian.
-GAUSSIAN = cg.Settings(
-    simulate=SimulateSettings(fluctuations="gaussian", decays=False),
-    digitize=DigitizeSettings(readout=GaussianReadout(sigma_x=0.1387, sigma_v=0.1327), reveal_sides=True),
-)
+READOUT, SIDES = GaussianReadout(sigma_x=0.1387, sigma_v=0.1327), DigitizeSettings(reveal_sides=True)
+GAUSSIAN: dict[str, Any] = {
+    "readout": READOUT,
+    "settings": cg.Settings(simulate=SimulateSettings(fluctuations="gaussian", decays=False), digitize=SIDES),
+}
 CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
 _PIPE = 0.00982
 _SIGMA = {X: 0.1387, V: 0.1327, WIRE: 0.13}
@@ -129,9 +131,9 @@ def expected(
     """
     gun = cg.Gun("mu-", p=p, cos_theta=0.0)
     settings = cg.Settings(
-        simulate=SimulateSettings(fluctuations="off", decays=False), digitize=GAUSSIAN.digitize, fit=FitSettings()
+        simulate=SimulateSettings(fluctuations="off", decays=False), digitize=SIDES, fit=FitSettings()
     )
-    result = cg.run(detector, gun, tracks, 5, settings=settings)
+    result = cg.run(detector, gun, tracks, 5, settings=settings, readout=READOUT)
     found, cells = [], 0
     for track in range(tracks):
         hits = hits_of(result, track, one_a_layer)
@@ -145,7 +147,7 @@ def expected(
 
 def simulated(detector: cg.Detector, p: float, n: int) -> Floats:
     """Return the core widths of fitted tracks where all is Gaussian."""
-    tracks = cg.run(detector, cg.Gun("mu-", p=p, cos_theta=0.0), n, 2, settings=GAUSSIAN).tracks
+    tracks = cg.run(detector, cg.Gun("mu-", p=p, cos_theta=0.0), n, 2, **GAUSSIAN).tracks
     return np.array([resolution(tracks, name).core for name in ("dr", "dz", "p")])
 
 

@@ -55,7 +55,7 @@ def kinks(share: float) -> Numbers:
     n, rows, gun = share_of(PIONS, share, 1000), [], cg.Gun("pi-", p=0.1, cos_theta=0.0)
     for on in (False, True):
         settings = replace(EXACT, fit=FitSettings(kinks=on))
-        tracks = cg.run(DETECTOR, gun, n, SEED, settings=settings, keep=("tracks",)).tracks
+        tracks = cg.run(DETECTOR, gun, n, SEED, settings=settings, readout="gaussian", keep=("tracks",)).tracks
         tracks = tracks[tracks["status"] == 0]
         bias = float(np.mean(tracks["res_kappa"]) / np.sqrt(np.mean(tracks["err_kappa"] ** 2)))
         rows.append(Kinks(on, abs(bias), len(tracks) ** -0.5, float(tracks["iterations"].mean())))
