@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gem_toy
-from cgemit import _core
+from cgemit import _core, analytic
 from cgemit.chain.run import run
 from cgemit.detector import compiled, gas, load
 from cgemit.detector.core import layer_table
