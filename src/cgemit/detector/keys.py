@@ -97,7 +97,8 @@ class Key(Quantity):
         if self.low == -float("inf"):
             return text
         if self.kind in NATIVE:
-            return f"{text} from {self.low:g} to {self.high:g} {NATIVE[self.kind]}".rstrip()
+            limits = f"above {self.low:g}, up to" if self.above else f"from {self.low:g} to"
+            return f"{text} {limits} {self.high:g} {NATIVE[self.kind]}".rstrip()
         return f"{text} from {self.low:g} to {self.high:g}"
 
 

@@ -329,6 +329,7 @@ def test_the_readout_of_the_top_level_is_for_all_layers_without_their_own() -> N
         ),
         ({"cgem.L1.readout.threshold": "-1 fC"}, ['threshold: got "-1 fC", expected a charge .* from 0 to']),
         ({**TIGER_L1, "cgem.L1.readout.missing": 11}, ["L1.readout.missing: got 11, expected a whole number"]),
+        ({"readout.gain": 0}, [r"L\d.readout.gain: got 0, expected a finite number above 0, up to 1e\+08"] * 3),
     ],
 )  # fmt: skip
 def test_wrong_readouts_are_all_named(changes: dict[str, object], messages: list[str]) -> None:
