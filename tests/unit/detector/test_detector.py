@@ -112,12 +112,12 @@ def test_a_cgem_layer_has_no_errors_of_its_own() -> None:
         with pytest.raises(ValueError, match="readout positions: got CGEM layer L2, expected a layer with errors"):
             ask(layer)
     readout = GaussianReadout(sigma_x=0.2, sigma_v=0.3)
-    assert (readout.precision(layer), readout.errors(layer)) == ((0.2, 0.3, 1.0, 0.0), (0.2, 0.3))
+    assert (readout.precision(layer), readout.errors(layer)) == ((0.2, 0.3, 0.0), (0.2, 0.3))
 
 
 def test_a_sensor_measures_as_its_file_says() -> None:
     """Without an error it measures the middle of a strip, with the error pitch/sqrt(12)."""
     keys = {"radius": "100 mm", "material": "Si", "sigma_x": "10 um", "pitch_v": "1 mm", "efficiency": 0.9}
     sensor = with_sensor(VTX={**keys, "sigma_time": "2 ns"}).layer["VTX"]
-    assert PositionReadout().precision(sensor) == (0.01, 0.0, 0.9, 2.0)
+    assert PositionReadout().precision(sensor) == (0.01, 0.0, 2.0)
     assert PositionReadout().errors(sensor) == pytest.approx((0.01, 1 / np.sqrt(12)))
