@@ -85,10 +85,11 @@ const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits, 
 // Whether there is work left for other layers.
 bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
   const auto [inner, middle, outer] = layers;
-  // No track turns by more between two layers, if it comes from near the beam line.
+  // No track turns by more between two layers, if it comes from near the beam line: the slowest one, or the
+  // one that just reaches the outer layer.
   const double r_in = detector_.layers[inner].r_mid(), r_out = detector_.layers[outer].r_mid();
-  const double bend =
-      std::asin(std::min(1.0, 0.5 * largest_w_ * r_out)) - std::asin(std::min(1.0, 0.5 * largest_w_ * r_in));
+  const double w = std::min(largest_w_, 2 / r_out);
+  const double bend = std::asin(0.5 * w * r_out) - std::asin(0.5 * w * r_in);
   const double window = bend + std::min(0.5, settings_.max_d * (1 / r_in - 1 / r_out));
   for (const Point& a : points_[inner]) {
     for (const Point& c : points_[outer]) {

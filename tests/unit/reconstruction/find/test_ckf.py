@@ -649,6 +649,37 @@ def test_every_track_is_found_without_new_numbers(detector):
     assert finding.hit_efficiency > 0.99
 
 
+def barrel(bz, radii, *sensors):
+    """A barrel of silicon layers in `bz` tesla; the sensors follow each other in turn."""
+    common = {"material": "Si", "thickness": "0.1 mm", "length": "4 m"}
+    layers = {f"S{i}": common | sensors[i % len(sensors)] | {"radius": f"{r} mm"} for i, r in enumerate(radii)}
+    return cg.load({"name": "barrel", "field": {"bz": f"{bz} T"}, "layer": layers})
+
+
+PIXEL = {"sigma": "20 um"}
+
+
+def counts(detector, gun, n, tracks=1, seed=1, **settings):
+    """Found and findable particles, fakes and clones, events beyond the search."""
+    settings = dataclasses.replace(QUIET, find=cg.FindSettings(**settings))
+    result = cg.run(detector, Guns((gun,) * tracks), n, seed, settings=settings, finder="ckf", until="find")
+    rates = cg.study.finding(result).rates()
+    return rates.efficiency.count, rates.efficiency.n, rates.fakes.count, rates.clones.count, result.beyond_search()
+
+
+@pytest.mark.parametrize("pt", [0.28, 0.32, 0.4, 0.54])
+def test_slow_tracks_turn_most_between_layers_of_large_radius(pt):
+    """The circle that just reaches the outer layer turns most, by 1.23 rad here; not that of the smallest pT."""
+    gun = cg.Gun("mu-", pt=pt, cos_theta=(-0.3, 0.3))
+    for bz in (3, -3):
+        assert counts(barrel(bz, (200, 400, 600), PIXEL), gun, 50) == (50, 50, 0, 0, 0)
+
+
+def test_slow_tracks_among_others_in_three_layers():
+    gun = cg.Gun("mu-", pt=(0.29, 0.8), cos_theta=(-0.3, 0.3))
+    assert counts(barrel(3, (200, 400, 600), PIXEL), gun, 25, tracks=4) == (100, 100, 0, 0, 0)
+
+
 def test_a_track_through_the_gap_at_a_seam():
     """It has no cluster in that layer, and all of its other hits."""
     detector = DESIGN.with_overrides({"cgem.L2.dead_seam": "8 mm"})
