@@ -30,8 +30,11 @@ class ParticleCounts(NamedTuple):
 
     Attributes
     ----------
-    x_layers, v_layers, points : ndarray, int64
-        CGEM layers with an X cluster, with a V cluster, with both.
+    x_layers, v_layers : ndarray, int64
+        Layers with an X cluster, with a V cluster.
+    crossed : ndarray, int64
+        Pairs of these V clusters with stereo angles of opposite sign, strips along z or around it left out. Each pair
+        measures one coordinate across the beam and one along it.
     wires, stereo : ndarray, int64
         Cells of the drift chamber, and of its stereo layers alone.
     hits : ndarray, int64
@@ -40,10 +43,14 @@ class ParticleCounts(NamedTuple):
 
     x_layers: Rows
     v_layers: Rows
-    points: Rows
+    crossed: Rows
     wires: Rows
     stereo: Rows
     hits: Rows
+
+
+#: Cosine of the stereo angle of V strips that measure z alone.
+_ALONG = 1e-6
 
 
 def count_particles(result: Result) -> ParticleCounts:
@@ -64,6 +71,9 @@ def count_particles(result: Result) -> ParticleCounts:
     seen = np.zeros((n, views), np.bool_)
     seen[of_truth.owner[truth], clusters["layer"][rows] * 2 + clusters["view"][rows]] = True
     x, v = seen[:, HIT_X::2], seen[:, HIT_V::2]
+    stereo_angle = np.array([layer.stereo for layer in result.detector.layers])
+    sign = np.where(np.abs(np.cos(stereo_angle)) > _ALONG, np.sign(stereo_angle), 0)
+    crossed = np.minimum(v[:, sign > 0].sum(axis=1), v[:, sign < 0].sum(axis=1))
     of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
     on = of_wire.first
     chamber = result.detector.drift_chamber
@@ -72,9 +82,7 @@ def count_particles(result: Result) -> ParticleCounts:
         np.bincount(of_wire.owner[which], minlength=n) for which in (on, on & np.isin(wire_hits["layer"], tilted))
     )
     crossings = np.bincount(of_truth.owner[truth], minlength=n)
-    return ParticleCounts(
-        x.sum(axis=1), v.sum(axis=1), (x & v).sum(axis=1), wires, stereo, (crossings + wires).astype(np.int64)
-    )
+    return ParticleCounts(x.sum(axis=1), v.sum(axis=1), crossed, wires, stereo, (crossings + wires).astype(np.int64))
 
 
 class _Origins(NamedTuple):
@@ -107,20 +115,28 @@ def _origins(particles: Table, truths: Table) -> _Origins:
 def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]]:
     """Return which particles are findable, (particles,) bool, and how many charged ones each condition removes.
 
+    A helix has five parameters, three across the beam and two along it; one measurement more tests it.
+
     Parameters
     ----------
     of : ParticleCounts
     charged : ndarray, (particles,) bool
     """
-    three, mixed = of.points >= 3, (of.points >= 2) & (of.wires >= 3)
+
+    def measure(across: int, along: int) -> Flags:
+        pairs = np.maximum(across - of.x_layers, 0)  # of V in the place of X
+        return (pairs <= of.crossed) & (of.v_layers - pairs >= along)
+
+    two = measure(2, 2)
+    layers = measure(3, 2) & (of.x_layers + of.v_layers >= 6)
     chamber = (of.wires >= 10) & (of.stereo >= 3)
-    findable = charged & (three | mixed | chamber)
+    findable = charged & (layers | two & (of.wires >= 3) | chamber)
     rest = charged & ~findable
     reasons: dict[str, Flags] = {
         "no hit at all": of.hits == 0,
         "3 stereo wires among 10 or more": of.wires >= 10,
-        "3 wires beside 2 layers with X and V": of.points >= 2,
-        "10 wires, or 2 layers with X and V": np.ones(len(rest), np.bool_),
+        "3 wires, or 6 coordinates, beside X and V in 2 layers": two,
+        "10 wires, or X and V in 2 layers": np.ones(len(rest), np.bool_),
     }
     removed: dict[str, int] = {}
     for name, which in reasons.items():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.finding import ParticleCounts, findable_of
 from cgemit.analysis.widths import Fraction
 from cgemit.chain.match import match
 from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
@@ -137,9 +138,64 @@ def test_particles_without_enough_hits_are_not_findable_and_the_reason_is_counte
     assert finding.removed == {
         "no hit at all": 0,
         "3 stereo wires among 10 or more": 0,
-        "3 wires beside 2 layers with X and V": 0,
-        "10 wires, or 2 layers with X and V": 1,
+        "3 wires, or 6 coordinates, beside X and V in 2 layers": 0,
+        "10 wires, or X and V in 2 layers": 1,
     }
+
+
+@pytest.mark.parametrize(
+    ("x", "v", "crossed", "wires", "expected"),
+    [
+        (3, 3, 0, 0, True),
+        (3, 3, 1, 0, True),
+        (4, 2, 0, 0, True),
+        (3, 2, 0, 0, False),  # five coordinates
+        (5, 1, 0, 0, False),  # one along the beam
+        (2, 4, 0, 0, False),  # two across it
+        (2, 4, 1, 0, True),
+        (2, 3, 1, 0, False),
+        (0, 6, 3, 0, True),  # strips at two stereo angles
+        (0, 6, 0, 0, False),  # at one
+        (0, 6, 2, 0, False),
+        (2, 2, 0, 3, True),
+        (2, 2, 1, 3, True),
+        (2, 2, 0, 2, False),
+        (2, 1, 0, 9, False),
+        (1, 3, 1, 3, True),
+        (0, 0, 0, 10, True),
+    ],
+)
+def test_coordinates_that_make_a_particle_findable(x, v, crossed, wires, expected):
+    columns = {"x_layers": x, "v_layers": v, "crossed": crossed, "wires": wires, "stereo": wires // 3}
+    of = ParticleCounts(**{name: np.array([n]) for name, n in columns.items()}, hits=np.array([x + v + wires]))
+    findable, removed = findable_of(of, np.array([True]))
+    assert findable.tolist() == [expected]
+    assert sum(removed.values()) == (not expected)
+    assert not findable_of(of, np.array([False]))[0].any()
+
+
+SILICON = {"material": "Si", "thickness": "0.1 mm", "length": "2 m"}
+
+
+@pytest.mark.parametrize(
+    ("sensors", "counts", "findable"),
+    [
+        (({"sigma_x": "20 um"}, {"sigma_v": "20 um"}), (3, 3, 0), True),
+        (({"sigma_x": "20 um"}, {"sigma_v": "20 um", "stereo": "5 deg"}), (3, 3, 0), True),
+        (({"sigma_v": "20 um", "stereo": "5 deg"}, {"sigma_v": "20 um", "stereo": "-5 deg"}), (0, 6, 3), True),
+        (({"sigma_v": "20 um", "stereo": "5 deg"},), (0, 6, 0), False),
+        (({"sigma_x": "20 um"},), (6, 0, 0), False),
+        (({"sigma_v": "20 um", "stereo": "5 deg"}, {"sigma_v": "20 um"}), (0, 6, 0), False),
+    ],
+)
+def test_layers_of_one_coordinate_count_for_what_they_measure(sensors, counts, findable):
+    layers = {f"S{i}": SILICON | sensors[i % len(sensors)] | {"radius": f"{100 + 50 * i} mm"} for i in range(6)}
+    detector = cg.load({"name": "strips", "field": {"bz": "1 T"}, "layer": layers})
+    found = cg.study.finding(cg.run(detector, cg.Gun("mu-", p=1.0, cos_theta=0.2), n=3, seed=1, until="find"))
+    of = found.particles
+    assert (of.x_layers.tolist(), of.v_layers.tolist(), of.crossed.tolist()) == tuple([n] * 3 for n in counts)
+    assert found.findable.tolist() == [findable] * 3
+    assert found.rates().efficiency.n == 3 * findable
 
 
 def test_a_run_without_candidates_is_told_apart(run):
