@@ -259,8 +259,8 @@ std::optional<FoundCircle> AxialSearch::next() {
       divide(box);
     } else {
       const double scale = 1.0 / (1 << box.depth);
-      auto found =
-          hits_.fit(0, box.psi + 0.5 * cell_psi * scale, box.w + largest_w_ / coarse * scale, beam_line, 0);
+      const double half_psi = 0.5 * cell_psi * scale, half_w = largest_w_ / coarse * scale;
+      auto found = hits_.fit({0, box.psi + half_psi, box.w + half_w, half_psi, half_w, beam_line}, 0);
       // Whatever comes of it, the next search must find something else.
       ++circles_;
       for (std::int32_t i = box.first; i < box.last; ++i)

@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
+#include <algorithm>
 #include <bit>
 #include <cmath>
 
@@ -13,7 +14,14 @@ namespace cgemit {
 
 namespace {
 
-constexpr double hit_error = 0.3;     // mm, with the effects that a circle neglects
+constexpr double hit_error = 0.3;    // mm, with the effects that a circle neglects
+constexpr double last_window = 1.2;  // mm, of hits of a fitted circle
+// Distance from a circle at which hits count, mm, and the share of the first errors that is left of them. Far
+// outside or in a strong field these move the circle by more than the usual distance.
+struct Window {
+  double usual, share;
+};
+constexpr std::array<Window, 5> windows{{{4, 1}, {2.5, 0.25}, {1.6, 0}, {last_window, 0}, {last_window, 0}}};
 constexpr double least_squares = 10;  // mm^2, r^2 - l^2 of a usable hit
 constexpr double slow_pt = 0.06;      // GeV/c
 constexpr int slow_layers = 4;
@@ -81,12 +89,13 @@ void AxialHits::load(const EventHits& hits) {
   }
 }
 
-std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double sigma_d, int more) {
-  FoundCircle c{d, psi, w, {}, {}};
+std::optional<FoundCircle> AxialHits::fit(const CircleStart& start, int more) {
+  FoundCircle c{start.d, start.psi, start.w, {}, {}};
   Eigen::Matrix3d normal;
-  for (const double window : {4.0, 2.5, 1.6, 1.2, 1.2}) {
+  for (const auto& [usual, share] : windows) {
+    const double half_psi = share * start.half_psi, half_w = share * start.half_w;
     normal.setZero();
-    normal(0, 0) = 1 / (sigma_d * sigma_d);
+    normal(0, 0) = 1 / (start.sigma_d * start.sigma_d);
     Eigen::Vector3d right(-c.d * normal(0, 0), 0, 0);
     const double ux = std::cos(c.psi), uy = std::sin(c.psi);
     c.hits.clear();
@@ -95,7 +104,8 @@ std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double
       const double along = p.x * ux + p.y * uy;
       if (p.left_out || along < 0) continue;
       const double off = residual(c, ux, uy, p);
-      if (std::abs(off) > window) continue;
+      const double moved = half_psi * along + 0.5 * half_w * (p.x * p.x + p.y * p.y);
+      if (std::abs(off) > std::max(usual, last_window + moved)) continue;
       const double across = p.y * ux - p.x * uy;
       const Eigen::Vector3d row(1 - c.w * (across + c.d), -(1 - c.w * c.d) * along,
                                 -c.d * across - 0.5 * c.d * c.d - 0.5 * (p.x * p.x + p.y * p.y));
@@ -118,7 +128,8 @@ std::optional<FoundCircle> AxialHits::fit(double d, double psi, double w, double
   c.covariance = {inverse(0, 0), inverse(0, 1), inverse(0, 2), inverse(1, 1), inverse(1, 2), inverse(2, 2)};
   const double ux = std::cos(c.psi), uy = std::sin(c.psi);
   for (AxialPoint& p : points_)
-    if (!p.left_out && p.x * ux + p.y * uy > 0 && std::abs(residual(c, ux, uy, p)) < 1.2) p.left_out = true;
+    if (!p.left_out && p.x * ux + p.y * uy > 0 && std::abs(residual(c, ux, uy, p)) < last_window)
+      p.left_out = true;
   return c;
 }
 

@@ -20,6 +20,13 @@ struct FoundCircle {
   std::vector<std::int32_t> hits;
 };
 
+// Where the fit of a circle begins.
+struct CircleStart {
+  double d, psi, w;
+  double half_psi, half_w;  // largest errors of psi and w: half of the box that was searched
+  double sigma_d;           // mm, distance from the beam line that the fit expects
+};
+
 struct AxialPoint {
   double x, y, drift, per;  // per: 2/(r^2 - l^2)
   std::uint64_t layer;      // one bit
@@ -43,10 +50,9 @@ class AxialHits {
   // 1/mm, of the smallest transverse momentum.
   double largest_w() const { return largest_w_; }
 
-  // Fits a circle to the hits near a first one that is at most `window` mm away from them; the hits of the
-  // circle are left out afterwards. `sigma_d`: mm, distance from the beam line that the fit expects; `more`:
+  // Fits a circle to the hits near a first one; the hits of the circle are left out afterwards. `more`:
   // layers beyond the least number. None: too few layers, or a circle outside of the limits of the settings.
-  std::optional<FoundCircle> fit(double d, double psi, double w, double sigma_d, int more);
+  std::optional<FoundCircle> fit(const CircleStart& start, int more);
 
  private:
   void add(double x, double y, double drift, std::size_t layer, std::int32_t id);

@@ -222,7 +222,7 @@ void DisplacedSearch::continued(const Segment& segment) {
 std::optional<FoundCircle> DisplacedSearch::next() {
   while (next_ < curves_.size()) {
     const Curve& curve = curves_[next_++];
-    auto found = axial_.fit(curve.d, curve.psi, curve.w, any_distance, more_layers);
+    auto found = axial_.fit({curve.d, curve.psi, curve.w, 0, 0, any_distance}, more_layers);
     if (found) return found;
   }
   return std::nullopt;

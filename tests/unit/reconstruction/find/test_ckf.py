@@ -680,6 +680,16 @@ def test_slow_tracks_among_others_in_three_layers():
     assert counts(barrel(3, (200, 400, 600), PIXEL), gun, 25, tracks=4) == (100, 100, 0, 0, 0)
 
 
+VIEWS = {"sigma_x": "20 um"}, {"sigma_v": "20 um", "stereo": "10 deg"}
+
+
+@pytest.mark.parametrize(("bz", "pt"), [(3, 0.8), (3, 1.2), (3, 4.0), (5, 1.25), (5, 2.25), (1, 1.0)])
+def test_circles_in_strong_fields_keep_their_hits_in_outer_layers(bz, pt):
+    """Half a box of azimuth and curvature moves a circle by up to 12 mm in the outer layers."""
+    gun = cg.Gun("mu-", pt=pt, cos_theta=(-0.3, 0.3))
+    assert counts(barrel(bz, (300, 320, 600, 620, 900, 920), *VIEWS), gun, 60) == (60, 60, 0, 0, 0)
+
+
 def test_a_track_through_the_gap_at_a_seam():
     """It has no cluster in that layer, and all of its other hits."""
     detector = DESIGN.with_overrides({"cgem.L2.dead_seam": "8 mm"})
