@@ -148,11 +148,14 @@ bool Follower::meets_all(std::span<const std::int32_t> wanted) const {
   return met > 0 && met >= wanted.size();
 }
 
-// How well a V cluster fits the X cluster that the branch has in the same layer.
+// How well a V cluster fits the X cluster that the branch has in the same layer. The V of a point is not
+// taken without its X: a foreign V is more often near by chance than a foreign point.
 double Follower::pair_score(const Branch& branch, const Slot<double>& v) {
-  if (branch.chain < 0) return 0;
-  const Slot<double>& x = slot(links_[static_cast<std::size_t>(branch.chain)].slot);
-  return x.view == View::x && x.layer == v.layer ? hits_->pair_score(x.hit[0], v.hit[0]) : 0;
+  if (branch.chain >= 0) {
+    const Slot<double>& x = slot(links_[static_cast<std::size_t>(branch.chain)].slot);
+    if (x.view == View::x && x.layer == v.layer) return hits_->pair_score(x.hit[0], v.hit[0]);
+  }
+  return hits_->is_of_point(v.hit[0]) ? PairScores::impossible : 0;
 }
 
 // Each branch takes one of the clusters of a view, or none.
@@ -178,6 +181,7 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
       const double chi2 = residual * residual / total;
       if (only < 0 && !(chi2 < settings_.gate * settings_.gate)) continue;
       const double pair = view == View::v ? pair_score(branch, there) : 0;
+      if (only < 0 && pair <= PairScores::impossible) continue;
       next_.push_back(branch);
       if (only < 0) next_.back().settled = 0;
       take(next_.back(), s, residual, total, ch, log_found_ + log_gaussian(chi2, total) - log_density + pair,

@@ -690,6 +690,40 @@ def test_circles_in_strong_fields_keep_their_hits_in_outer_layers(bz, pt):
     assert counts(barrel(bz, (300, 320, 600, 620, 900, 920), *VIEWS), gun, 60) == (60, 60, 0, 0, 0)
 
 
+def views_in(run, layer):
+    """Candidates with an X in a layer, and with a V, as sets; the perfect finder's with all."""
+    hits, clusters = run.candidate_hits, run.clusters
+    strips = hits["view"] < 2
+    here = strips & (clusters["layer"][np.where(strips, hits["row"], 0)] == layer)
+    return [set(hits["candidate"][here & (hits["view"] == view)].tolist()) for view in (HIT_X, HIT_V)]
+
+
+@pytest.mark.parametrize(("tracks", "n", "lost"), [(4, 50, 0), (16, 10, 1)])
+def test_the_v_of_a_pixel_is_not_without_its_x(tracks, n, lost):
+    """A foreign V that is near by chance would move a track along the beam: its own pixel is then far off."""
+    gun = cg.Gun("mu-", p=(0.17, 0.6), cos_theta=(-0.9, 0.9))
+    run = cg.run("besiii-pixel", Guns((gun,) * tracks), n, 5, settings=QUIET, finder="ckf")
+    x, v = views_in(run, 0)
+    assert x == v
+    assert len(x) > 0.98 * tracks * n
+    matches = run.matches
+    own = (matches["match"] == 0) & (run.tracks["status"] == 0)
+    assert np.count_nonzero(own & (np.abs(matches["pull_dz"]) < 8)) >= tracks * n - lost
+
+
+@pytest.mark.parametrize("layer", [0, 1, 2])
+@pytest.mark.parametrize("view", [HIT_X, HIT_V])
+def test_strips_of_one_view_stay_where_the_other_is_dead(run, layer, view):
+    """X and V of a CGEM layer are read out by themselves, whatever the other one has."""
+    single = run.clusters[run.clusters["view"] < 2]
+    none = np.full(len(single), -1)
+    left = single.with_columns(x_cluster=none, v_cluster=none)[(single["layer"] != layer) | (single["view"] != view)]
+    tables = run.tables | {"clusters": left} | cg.find_tracks(run.detector, left, run.wire_hits)
+    views = views_in(cg.Result(**(vars(run) | {"tables": tables})), layer)
+    assert len(views[view]) == 0
+    assert len(views[1 - view]) >= 38
+
+
 def test_a_track_through_the_gap_at_a_seam():
     """It has no cluster in that layer, and all of its other hits."""
     detector = DESIGN.with_overrides({"cgem.L2.dead_seam": "8 mm"})
