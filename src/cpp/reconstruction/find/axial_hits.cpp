@@ -25,6 +25,7 @@ constexpr std::array<Window, 5> windows{{{4, 1}, {2.5, 0.25}, {1.6, 0}, {last_wi
 constexpr double least_squares = 10;  // mm^2, r^2 - l^2 of a usable hit
 constexpr double slow_pt = 0.06;      // GeV/c
 constexpr int slow_layers = 4;
+constexpr int fewest_layers = 3;  // which make a circle with the beam line
 constexpr double per_occupancy_slow = 100;
 constexpr double per_occupancy = 12;  // layers that a seed needs in addition, per share of fired cells
 
@@ -68,9 +69,10 @@ void AxialHits::load(const EventHits& hits) {
     single = single || plane.has_x != plane.has_v;
   }
   layers_ = layers + across;
-  // No segments are made of layers with one coordinate: all that measure across the beam may be few.
-  const int least =
-      single ? std::min(settings_.least_axial, std::max(layers_ - 2, 3)) : settings_.least_axial;
+  // No segments are made of layers with one coordinate: all that measure across the beam may be few, and a
+  // track may leave through an end or turn back after three of them.
+  const int few = layers > 0 ? std::max(layers_ - 2, fewest_layers) : fewest_layers;
+  const int least = single ? std::min(settings_.least_axial, few) : settings_.least_axial;
   least_ = least + static_cast<int>(per_occupancy * share);
   too_many_ = least <= layers_ && layers_ < least_;
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));

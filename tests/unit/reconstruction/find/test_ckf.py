@@ -690,6 +690,23 @@ def test_circles_in_strong_fields_keep_their_hits_in_outer_layers(bz, pt):
     assert counts(barrel(bz, (300, 320, 600, 620, 900, 920), *VIEWS), gun, 60) == (60, 60, 0, 0, 0)
 
 
+@pytest.mark.parametrize(
+    "gun",
+    [
+        cg.Gun("mu-", p=(0.5, 2.0), cos_theta=(0.7, 0.8)),
+        cg.Gun("mu+", pt=0.127, cos_theta=(-0.3, 0.3)),
+        cg.Gun("mu-", p=(0.5, 2.0), cos_theta=(-0.3, 0.3), vertex_sigma=("20 mm", "20 mm", "0 mm")),
+    ],
+    ids=["leave through the end", "turn back", "beside the beam line"],
+)
+def test_three_layers_across_the_beam_make_a_circle(gun):
+    """Of the six layers across the beam, three and the beam line are enough."""
+    found, findable, *others = counts("clas12-like", gun, 100)
+    assert findable > 85
+    assert found == findable
+    assert others == [0, 0, 0]
+
+
 def views_in(run, layer):
     """Candidates with an X in a layer, and with a V, as sets; the perfect finder's with all."""
     hits, clusters = run.candidate_hits, run.clusters
