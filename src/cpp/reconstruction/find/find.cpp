@@ -91,8 +91,9 @@ class EventFinder {
   // Segments of three layers and nothing else are tracks, the better ones first.
   void from_segments() {
     constexpr std::size_t shared_parts = 3;  // a third of the clusters may belong to better tracks
-    for (const FindSeed& seed : segments_.tracks(hits_)) {
-      reach(limit_segments, segments_.is_cut());
+    const std::vector<FindSeed>& seeds = segments_.tracks(hits_);
+    reach(limit_segments, segments_.is_cut());
+    for (const FindSeed& seed : seeds) {
       ++seeds_;
       std::size_t shared = 0;
       for (const std::int32_t id : seed.hits) shared += hits_.is_taken(id) ? 1 : 0;

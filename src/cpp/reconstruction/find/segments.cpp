@@ -15,6 +15,8 @@ namespace {
 constexpr double usual_z = 100;  // mm, of vertices of slow particles and of pairs
 constexpr double slowed = 1.6;   // momentum at the origin over that in the segment
 constexpr double slow_d = 15;    // mm, of slower particles from the beam line
+// Of a circle and of its score, in combinations of two clusters.
+constexpr std::int64_t work_of_circle = 10, work_of_score = 40;
 
 // A circle through three points, flown through from the first to the last.
 HelixPoint through(double ax, double ay, double bx, double by, double cx, double cy) {
@@ -46,6 +48,8 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
   ranks_.clear();
   work_ = 0;
   dropped_ = false;
+  made_.clear();
+  range_.assign(static_cast<std::size_t>(hits.first_wire()), std::nullopt);
   for (std::size_t layer = 0; layer < points_.size(); ++layer) {
     points_[layer].clear();
     const MeasuringLayer& plane = detector_.layers[layer];
@@ -58,17 +62,21 @@ void SegmentFinder::load(const EventHits& hits, bool all) {
 }
 
 // z of the crossings of an X cluster with the V clusters of its sheet.
-void SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point,
-                            std::vector<Height>& out) {
-  out.clear();
+auto SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Point& point) -> Range {
+  std::optional<Range>& range = range_[static_cast<std::size_t>(point.id)];
+  if (range) return *range;
+  const std::size_t first = made_.size();
   const MeasuringLayer& plane = detector_.layers[layer];
   work_ += hits.last(layer, View::v) - hits.first(layer, View::v);
   for (std::int32_t id = hits.first(layer, View::v); id < hits.last(layer, View::v); ++id) {
     if (hits[id].channel != hits[point.id].channel || (!all_ && hits.is_taken(id))) continue;
     const double z = crossing_z(plane, hits[point.id].value, hits[id].value);
     const double score = hits.pair_score(point.id, id);
-    if (std::abs(z) < plane.half_length + 5 && score > PairScores::impossible) out.push_back({z, score, id});
+    if (std::abs(z) < plane.half_length + 5 && score > PairScores::impossible)
+      made_.push_back({z, score, id});
   }
+  range = Range{first, made_.size()};
+  return *range;
 }
 
 const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits, bool all) {
@@ -110,14 +118,18 @@ bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
 
 void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, const Point& c,
                           const EventHits& hits) {
+  work_ += work_of_circle;
   HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
   if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
   const PivotApproach line = approach_pivot(at, 0, 0);
   const bool slow = std::abs(at.w) > 1.15 * largest_w_;
   if (!line.exists || std::abs(line.d) > (slow ? slow_d : settings_.max_d)) return;
-  heights(hits, layers[0], a, heights_[0]);
-  heights(hits, layers[1], b, heights_[1]);
-  heights(hits, layers[2], c, heights_[2]);
+  const Range low = heights(hits, layers[0], a), middle = heights(hits, layers[1], b),
+              high = heights(hits, layers[2], c);
+  heights_ = {of(low), of(middle), of(high)};
+  if (std::ranges::count_if(heights_, [](const auto& one) { return !one.empty(); }) < (alone_ ? 2 : 3))
+    return;
+  work_ += work_of_score;
   const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
                s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
   const Circle circle{{a.id, b.id, c.id},
@@ -206,8 +218,8 @@ void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, co
   if (a.x * c.x + a.y * c.y < 0) return;
   const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
   if (std::abs(at.w) > 1.15 * largest_w_) return;
-  heights(hits, inner, a, heights_[0]);
-  heights(hits, outer, c, heights_[1]);
+  const Range low_of = heights(hits, inner, a), high_of = heights(hits, outer, c);
+  heights_ = {of(low_of), of(high_of), {}};
   const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
   for (const Height& low : heights_[0]) {

@@ -3,6 +3,8 @@
 
 #include <array>
 #include <cmath>
+#include <optional>
+#include <span>
 #include <vector>
 
 #include "reconstruction/find/event_hits.hpp"
@@ -44,6 +46,9 @@ class SegmentFinder {
     double z, score;  // of the pair
     std::int32_t id;
   };
+  struct Range {
+    std::size_t first, last;
+  };
   // Through three X clusters; arc lengths from the closest approach to the beam line.
   struct Circle {
     std::array<std::int32_t, 3> x;
@@ -57,7 +62,10 @@ class SegmentFinder {
   };
 
   void load(const EventHits& hits, bool all);
-  void heights(const EventHits& hits, std::size_t layer, const Point& point, std::vector<Height>& out);
+  Range heights(const EventHits& hits, std::size_t layer, const Point& point);
+  std::span<const Height> of(const Range& range) const {
+    return std::span(made_).subspan(range.first, range.last - range.first);
+  }
   bool three_of(const Layers& layers, const EventHits& hits);
   void three(const Layers& layers, const Point& a, const Point& b, const Point& c, const EventHits& hits);
   void lines_of_three(const Circle& circle);
@@ -74,7 +82,10 @@ class SegmentFinder {
   const FindSettings& settings_;
   double largest_w_;  // 1/mm, of the smallest transverse momentum
   std::vector<std::vector<Point>> points_;
-  std::array<std::vector<Height>, 3> heights_;  // of the clusters of a circle or pair
+  std::array<std::span<const Height>, 3> heights_;  // of the clusters of a circle or pair
+  // Those of each X cluster, made when it is first needed, since a cluster is in many circles.
+  std::vector<Height> made_;
+  std::vector<std::optional<Range>> range_;
   SegmentScore score_;
   bool all_ = true;     // taken clusters count
   bool alone_ = false;  // segments are tracks

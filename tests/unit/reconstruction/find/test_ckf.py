@@ -10,6 +10,7 @@ import cgemit as cg
 from cgemit.particles.gun import Guns
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV
 from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find.ckf import SearchLimits
 from cgemit.reconstruction.find.truth import own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import BackgroundSettings
@@ -868,6 +869,30 @@ def test_two_tracks_may_not_share_half_of_their_clusters(layers, single):
     hits = sizes(find(layers, joined(single, copy)))
     assert (hits[:, 0] == 6).mean() > 0.9
     assert not hits[:, 1:].any()
+
+
+def heights_in_one_layer(layers, x, v, phi):
+    """One event with X clusters of muons in all layers, and V clusters of others in the second layer alone."""
+    muons = {"p": 1.0, "theta": np.pi / 2}
+    guns = (cg.Gun("mu-", **muons, phi=phi),) * x + (cg.Gun("mu-", **muons, phi=(0.1, 3.0)),) * v
+    run = cg.run(layers, Guns(guns), 1, 2, readout="gaussian", until="cluster")
+    clusters, of_x = run.clusters, run.truths["particle"][run.clusters["truth"]] < x
+    clusters = clusters[(clusters["view"] == HIT_X) & of_x | on(clusters, 1, HIT_V) & ~of_x]
+    assert len(clusters) > 0.99 * (3 * x + v)
+    none = np.full(len(clusters), -1)
+    return clusters.with_columns(x_cluster=none, v_cluster=none)
+
+
+def test_heights_of_a_cluster_are_made_once(layers):
+    """60 X clusters in each layer make up to 216 000 circles; with 800 V clusters each time, the work would end."""
+    found = find(layers, heights_in_one_layer(layers, 60, 800, (0.4, 0.5)))
+    assert found["searches"]["limits"].tolist() == [0]
+
+
+def test_a_search_that_ends_before_any_seed_is_marked(layers):
+    found = find(layers, heights_in_one_layer(layers, 300, 1, (0.1, 1.5)))
+    assert found["searches"]["seeds"].tolist() == [0]
+    assert found["searches"]["limits"].tolist() == [SearchLimits.segments]
 
 
 def test_the_score_asked_for_decides(layers, single):
