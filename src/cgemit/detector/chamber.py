@@ -111,21 +111,24 @@ def _wire_rows(reader: Reader, superlayers: Sequence[Superlayer]) -> dict[str, A
         reader.note("drift_chamber.superlayers", f"{total} layers", f"at most {_MOST_WIRE_LAYERS}")
         superlayers = ()
     rows: list[dict[str, Any]] = []
-    border, before = UNUSABLE, ""  # where the superlayer before ends
+    border = UNUSABLE  # where the superlayer before ends
+    reach, before = UNUSABLE, ""  # the outermost border so far, and its superlayer
     for one in superlayers:
         path = f"drift_chamber.superlayers.{one.label}"
         start = border if one.r_in is None else one.r_in
         if one.r_in is None and one is superlayers[0] and not reader.baseless:
             reader.note(f"{path}.r_in", "nothing", "the inner border of the innermost superlayer")
-        if start < border - _TOUCH:
-            expected = f"at least {border:.6g} mm, the outer border of {before}: superlayers from inside outward"
+        good, border = True, start
+        if one.r_in is not None and start < reach - _TOUCH:
+            expected = f"at least {reach:.6g} mm, the outer border of {before}: superlayers from inside outward"
             reader.note(f"{path}.r_in", f"{start:g} mm", expected)
-            start = UNUSABLE
-        good, border, before = True, start, one.label
+            good = False
         for i in range(1 if math.isnan(one.layers) else one.layers):
             row, border = _wire_row(one, i, border, shifted=one.stagger and len(rows) % 2 == 1)
             good = good and _possible(reader, path, one, row, len(rows))
             rows.append({name: getattr(one, name) for name in FOR_ALL_LAYERS} | row if good else _UNUSABLE_ROW)
+        if not border <= reach:
+            reach, before = border, one.label
     rows = rows or [_UNUSABLE_ROW]
     return {str(number): {name: Known(value) for name, value in row.items()} for number, row in enumerate(rows)}
 

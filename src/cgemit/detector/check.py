@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 from cgemit import _core
@@ -228,6 +227,10 @@ def _sensor_problems(layer: MeasurementLayer) -> list[Problem]:
             problems.append(
                 Problem(f"{path}.pitch_{view}", f"{pitch:g} mm", f"at most {most:g} mm, the size of the layer")
             )
+        if pitch and getattr(layer, f"sigma_{view}"):
+            given = f"{pitch:g} mm and sigma_{view} = {getattr(layer, f'sigma_{view}'):g} mm"
+            expected = "one of them: strips have the error pitch/sqrt(12)"
+            problems.append(Problem(f"{path}.pitch_{view}", given, expected))
     for view in layer.views:
         if layer.sigma_tan and not getattr(layer, f"sigma_{view.lower()}"):
             given = f"{layer.sigma_tan:g} mm and no sigma_{view.lower()}"
@@ -311,16 +314,30 @@ def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
         expected = "at least one [drift_chamber.layers.<number>] or [drift_chamber.superlayers.<label>]"
         return [Problem("drift_chamber.layers", "no wire layer", expected)]
     problems = [problem for layer in chamber.layers for problem in _wire_problems(layer)]
-    for inner, outer in pairwise(_sound_layers(chamber)):
-        # The squares of the radii are linear in z squared, so that they are compared at both ends of the longer
-        # layer: the border of its cells is midway to the other layer, continued, at each z.
-        for z in (0.0, max(inner.half_length, outer.half_length)):
+    sound = _sound_layers(chamber)
+    if chamber.wires == "smeared" and not any(layer.wire_x0 for layer in chamber.layers):
+        expected = 'wire_x0 of [drift_chamber] or of a layer above 0, or wires = "none"'
+        problems.append(Problem("drift_chamber.wires", '"smeared" and no matter of any wires', expected))
+    problems += [found for i in range(len(sound)) if (found := _crossed_wires(sound, i))]
+    return problems + _error_problems(sound)
+
+
+def _crossed_wires(layers: Sequence[WireLayer], number: int) -> Problem | None:
+    """Return whether a layer crosses one inside of it at a |z| where both have wires.
+
+    The squares of the radii are linear in z squared, so that they are compared at 0 and at the nearer end. Layers
+    inside of one that is as long as this one have been compared with that one.
+    """
+    outer = layers[number]
+    for inner in reversed(layers[:number]):
+        for z in (0.0, min(inner.half_length, outer.half_length)):
             if outer.radius_at(z) <= inner.radius_at(z) + TOUCH:
                 given = f"wires at r = {outer.radius_at(z):g} mm at |z| = {z:g} mm"
                 expected = f"more than the {inner.radius_at(z):g} mm of layer {inner.number} there"
-                problems.append(Problem(f"drift_chamber.layers.{outer.number}", given, expected))
-                break
-    return problems + _error_problems(_sound_layers(chamber))
+                return Problem(f"drift_chamber.layers.{outer.number}", given, expected)
+        if inner.half_length >= outer.half_length:
+            break
+    return None
 
 
 def _error_problems(wires: list[WireLayer]) -> list[Problem]:

@@ -39,6 +39,24 @@ std::vector<Extent> parts_of(const Detector& detector) {
   return parts;
 }
 
+// A layer borders the cells of its neighbours beyond its ends, too, unless the continued wires meet theirs.
+void set_borders(WireLayer& inner, WireLayer& outer) {
+  const double z = std::max(inner.half_length, outer.half_length);
+  if (wire_radius(inner, z) < wire_radius(outer, z)) return;
+  WireLayer& shorter = inner.half_length < outer.half_length ? inner : outer;
+  shorter.borders = shorter.half_length;
+}
+
+// Whether wires outside of a radius reach steeper lines from the origin than those up to it.
+bool reopens(const std::vector<WireLayer>& wires, double radius) {
+  double inside = 0, outside = 0;
+  for (const WireLayer& layer : wires) {
+    const double r = wire_radius(layer, 0.0), steepest = layer.half_length / r;
+    (r > radius ? outside : inside) = std::max(r > radius ? outside : inside, steepest);
+  }
+  return inside > 0 && outside > inside;
+}
+
 }  // namespace
 
 void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
@@ -51,6 +69,7 @@ void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
     layer.twist_per_z = layer.tan_half_twist / layer.half_length;
     layer.placed = wires_of(layer, chamber);
   }
+  for (std::size_t i = 1; i < layers.size(); ++i) set_borders(layers[i - 1], layers[i]);
 }
 
 Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<MeasuringLayer> layers,
@@ -78,6 +97,7 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Meas
   for (Slab& slab : detector.slabs) {
     const auto outside = std::ranges::upper_bound(detector.parts, slab.radius, {}, &Extent::radius);
     slab.parts_inside = static_cast<std::size_t>(outside - detector.parts.begin());
+    slab.reopens = slab.filler == Filler::chamber_gas && reopens(detector.wires, slab.r_out + 1e-6);
     slab.steepest_beyond = 0;
     for (auto part = outside; part != detector.parts.end(); ++part)
       slab.steepest_beyond = std::max(slab.steepest_beyond, part->half_length / part->radius);

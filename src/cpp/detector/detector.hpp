@@ -75,6 +75,9 @@ struct alignas(64) Slab {
   // slab, and the number of those that are not outside.
   double steepest_beyond = 0;
   std::size_t parts_inside = 0;
+  // Derived, of chamber gas: whether wires outside of it reach steeper lines from the origin than all wires
+  // up to here. Tracks beyond its end have not left the chamber.
+  bool reopens = false;
 
   double acting = HUGE_VAL;  // GeV^2 at normal incidence, chi_c^2 of the matter that acts with this slab, its
                              // own included, times (p beta)^2; infinite: all (`share_scattering`)
@@ -175,8 +178,9 @@ struct WireLayer {
   // Derived from the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
   PlacedWires placed;
   double waist, flare, tan_half_twist;
-  double per_radian;   // cells per radian
-  double twist_per_z;  // 1/mm, tan_half_twist/half_length
+  double per_radian;          // cells per radian
+  double twist_per_z;         // 1/mm, tan_half_twist/half_length
+  double borders = HUGE_VAL;  // mm, |z| up to which its wires are neighbours of those of other layers
 };
 
 // The cylinder of a slab that is no filler.

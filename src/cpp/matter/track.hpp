@@ -41,7 +41,10 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   mask_of<T> inside(true), chamber(true);  // as in `motion/reach.hpp`
   for (const Slab& slab : detector.slabs) {
     mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
-    if (slab.filler == Filler::chamber_gas) met = chamber = chamber & met;
+    if (slab.filler == Filler::chamber_gas) {
+      met = chamber & met;
+      if (!slab.reopens) chamber = met;
+    }
     total.x0 += select(met, T(slab.x0), 0.0);
     total.xi += select(met, T(slab.xi), 0.0);
     total.chi_c2 += select(met, T(slab.chi_c2), 0.0);

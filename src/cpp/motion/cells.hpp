@@ -22,7 +22,8 @@ T nearest_cell(const T& c) {
   return nearest(c);
 }
 
-// Radial borders of a layer's cells, midway to the neighbouring layers at the track's z.
+// Radial borders of a layer's cells, midway to the neighbouring layers at the track's z; as far on the other
+// side where there is no neighbour.
 template <class T>
 struct CellBorders {
   T inner, outer;
@@ -32,8 +33,14 @@ struct CellBorders {
     const T below = index > 0 ? wire_radius(wires[index - 1], z) : T(-HUGE_VAL);
     const T above = index + 1 < wires.size() ? wire_radius(wires[index + 1], z) : T(HUGE_VAL);
     T half_in = 0.5 * (here - below), half_out = 0.5 * (above - here);
-    if (index == 0) half_in = smaller(half_out, pi * here / wires[index].cells);
-    if (index + 1 == wires.size()) half_out = smaller(half_in, pi * here / wires[index].cells);
+    const bool ends_in = index > 0 && wires[index - 1].borders < HUGE_VAL,
+               ends_out = index + 1 < wires.size() && wires[index + 1].borders < HUGE_VAL;
+    if (ends_in) half_in = select(abs(z) > wires[index - 1].borders, T(HUGE_VAL), half_in);
+    if (ends_out) half_out = select(abs(z) > wires[index + 1].borders, T(HUGE_VAL), half_out);
+    if (index == 0 || ends_in)
+      half_in = select(half_in < HUGE_VAL, half_in, smaller(half_out, pi * here / wires[index].cells));
+    if (index + 1 == wires.size() || ends_out)
+      half_out = select(half_out < HUGE_VAL, half_out, smaller(half_in, pi * here / wires[index].cells));
     inner = here - half_in;
     outer = here + half_out;
   }

@@ -2,8 +2,8 @@
 //
 // Parts are cylinders of finite length, each with its own. A track beyond an end of a part misses this part
 // only. Where it misses the gas of the drift chamber on its way out along the beam, it has left the chamber
-// and meets no more of its wires and gas. It then goes on to the parts outside, and ends at the first part
-// that it misses with no other part ahead.
+// and meets no more of its wires and gas, unless this is a short inner chamber inside of a longer one. It
+// then goes on to the parts outside, and ends at the first part that it misses with no other part ahead.
 #pragma once
 
 #include <cmath>
@@ -24,7 +24,8 @@ struct Reach {
   void miss(const Detector& detector, const Slab& slab, const HelixPointOf<T>& at, mask_of<T> who,
             bool back) {
     const T along = select(at.tanl < 0.0, -at.z, at.z);
-    if (slab.filler == Filler::chamber_gas) chamber = chamber & !(who & (along > slab.half_length));
+    if (slab.filler == Filler::chamber_gas && !slab.reopens)
+      chamber = chamber & !(who & (along > slab.half_length));
     who = who & !chamber;
     if (!any(who)) return;
     // The transverse path between two radii is at least their difference, and the track moves by tanl along

@@ -1,11 +1,13 @@
 """Wire layers generated from superlayers."""
 
+import dataclasses
 import math
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 
 import cgemit as cg
@@ -161,6 +163,55 @@ def test_wires_of_an_axial_superlayer_may_not_cross_those_of_a_stereo_one() -> N
     near = {"layers": 4, "cells": "12 mm"}
     assert problems(chamber(A1, near | {"height": "4 mm"}))[0][0] == "layers.8"
     assert len(layers_of(chamber(A1, near | {"r_in": "455 mm"}))) == 12
+
+
+def test_all_superlayers_that_overlap_are_listed() -> None:
+    """A1 ends at 446 mm; A2 begins inside of it and ends at 460 mm, A3 and A4 begin inside of these; A5 is free."""
+    inside = A2 | {"r_in": "400 mm"}
+    found = problems(chamber(A1, inside, A2 | {"r_in": "440 mm"}, A1 | {"r_in": "410 mm"}, A2 | {"r_in": "520 mm"}))
+    assert found == [(f"superlayers.A{i}.r_in", f"{r} mm") for i, r in ((2, 400), (3, 440), (4, 410))]
+
+
+SHORT: dict[str, Any] = {
+    "ZD": {"layers": 6, "r_in": "48 mm", "cells": "10 mm", "half_length": "200 mm", "stereo": "200 mrad"},
+    "AX": {"layers": 16, "r_in": "132 mm", "cells": "14 mm"},
+    "U": {"layers": 16, "r_in": "370 mm", "cells": "14 mm", "stereo": ["25 mrad", "-25 mrad"]},
+}
+
+
+def short_inside() -> cg.Detector:
+    """Return a chamber whose inner wires, continued to |z| = 1 m, would be at 220 mm, outside of others at 139 mm."""
+    return cg.load(chamber(half_length="1000 mm", sigma="110 um", gas="MdcGas", superlayers=SHORT))
+
+
+@pytest.mark.parametrize("cos_theta", [0.0, 0.5, 0.7, 0.85, 0.9, 0.962])
+def test_a_short_chamber_inside_a_long_one_is_crossed_layer_by_layer(cos_theta: float) -> None:
+    """At 0.962 tracks pass the end of the short chamber at 57 mm and meet the long one, up to 284 mm."""
+    detector = short_inside()
+    slope = cos_theta / math.sqrt(1 - cos_theta**2)
+    met = {
+        layer.number for layer in layers_of(detector) if slope * layer.radius_at(layer.half_length) < layer.half_length
+    }
+    calm = cg.SimulateSettings(fluctuations="off", decays=False, deltas=False)
+    gun = cg.Gun("mu-", p=10.0, cos_theta=cos_theta)
+    hits = cg.run(detector, gun, 20, 1, until="digitize", settings=cg.Settings(simulate=calm)).wire_hits
+    for event in range(20):
+        assert set(hits["layer"][hits["event"] == event].tolist()) == met
+
+
+def test_tracks_are_found_and_fitted_in_a_short_chamber_inside_a_long_one() -> None:
+    """All of them, with pulls of width 1 within four standard errors of 300 tracks."""
+    gun = cg.Gun("mu-", p=(0.3, 2.0), cos_theta=(-0.93, 0.93))
+    how = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian", decays=False))
+    result = cg.run(short_inside(), gun, n=300, seed=1, settings=how)
+    found = cg.find_tracks(result.detector, result.clusters, result.wire_hits)
+    rates = cg.study.finding(dataclasses.replace(result, tables={**result.tables, **found})).rates()
+    assert (rates.efficiency.count, rates.fakes.count, rates.clones.count) == (300, 0, 0)
+    good = result.tracks[result.tracks["status"] == 0]
+    assert len(good) == 300
+    for name in ("dr", "phi0", "kappa", "dz", "tanl"):
+        assert good[f"pull_{name}"].std() == pytest.approx(1.0, abs=4 * 0.041)
+    assert np.isfinite(cg.analytic(short_inside(), "mu-", p=1.0, cos_theta=[0.0, 0.9]).sigma("p")).all()
 
 
 def test_it_writes_plain_layers_and_reads_them_back() -> None:

@@ -297,7 +297,7 @@ def test_wire_layers_may_be_nested_hyperboloids() -> None:
     for _ in range(200):
         inner, outer = random_wires(rng, 300.0), random_wires(rng, 300 + float(rng.uniform(0, 12)))
         wall_r, wall_h = float(rng.uniform(280, 302)), float(rng.uniform(50, 900))
-        both = np.linspace(0, max(inner["_h"], outer["_h"]), 400)
+        both = np.linspace(0, min(inner["_h"], outer["_h"]), 400)
         crosses = bool((sampled_radii(inner, both) >= sampled_radii(outer, both)).any())
         at_wall = sampled_radii(inner, np.linspace(0, min(inner["_h"], wall_h), 400))
         hit = bool(at_wall[0] < wall_r + 1 and at_wall[-1] > wall_r)
@@ -310,6 +310,44 @@ def test_wire_layers_may_be_nested_hyperboloids() -> None:
         found = paths(chamber_of(layers[:1], {"w": wall | {"material": "Al"}}))
         assert found == (["walls.w"] if hit else [])
     assert min(seen.values()) > 10, seen
+
+
+def test_wires_of_layers_that_are_no_neighbours_are_compared_where_others_end() -> None:
+    """A layer between two long ones ends before the inner one meets the outer one: 300 mm becomes hypot(300, 60)."""
+    long = {"cells": 100, "r_end": "306 mm", "half_length": "900 mm", "twist_cells": 6.25}
+    short = {"cells": 100, "r_end": "303 mm", "half_length": "100 mm", "twist_cells": 0.0}
+    layers = [long, short, short | {"r_end": "305 mm", "half_length": "900 mm"}]
+    inner = 306 * math.cos(math.pi * 6.25 / 100)
+    found = problems(chamber_of(layers))
+    assert list(found) == ["drift_chamber.layers.2"]
+    assert "more than the 306 mm of layer 0 there" in found["drift_chamber.layers.2"].expected
+    assert inner < 303
+    assert paths(chamber_of([*layers[:2], layers[2] | {"r_end": "307 mm"}])) == []
+
+
+def test_smeared_wires_need_matter() -> None:
+    layer = {"cells": 100, "r_end": "300 mm", "half_length": "900 mm", "twist_cells": 0.0}
+    smeared = chamber_of([layer, layer | {"r_end": "310 mm"}])
+    smeared["drift_chamber"]["wires"] = "smeared"
+    found = problems(smeared)
+    assert {path: one.given for path, one in found.items()} == {
+        "drift_chamber.wires": '"smeared" and no matter of any wires'
+    }
+    smeared["drift_chamber"]["layers"]["1"]["wire_x0"] = 1e-5
+    assert paths(smeared) == []
+
+
+@pytest.mark.parametrize("view", ["x", "v"])
+def test_a_coordinate_has_an_error_or_a_pitch(view: str) -> None:
+    layer = {"radius": "50 mm", "material": "Si", f"pitch_{view}": "50 um"}
+    tables = {"field": {"bz": "1 T"}, "layer": {"P": layer | {f"sigma_{view}": "5 um"}}}
+    found = problems(tables)[f"layer.P.pitch_{view}"]
+    assert found.given == f"0.05 mm and sigma_{view} = 0.005 mm"
+    assert "one of them" in found.expected
+    both = {"radius": "50 mm", "material": "Si", "pitch": "50 um", "sigma": "5 um"}
+    assert paths(tables | {"layer": {"P": both}}) == ["layer.P.pitch_x", "layer.P.pitch_v"]
+    other = layer | {f"sigma_{'v' if view == 'x' else 'x'}": "5 um"}
+    assert paths(tables | {"layer": {"P": other}}) == []
 
 
 def idea() -> dict[str, Any]:
