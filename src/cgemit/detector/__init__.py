@@ -8,11 +8,21 @@ from cgemit.detector.field import Field, FieldGrid, HarmonicField, MapField, Sol
 from cgemit.detector.files import detectors, fields, read_field_map, write_field_map
 from cgemit.detector.material import Material
 from cgemit.detector.matter import Slab, slabs
-from cgemit.detector.parts import CgemLayer, Cylinder, DriftChamber, MeasurementLayer, Shell, SubLayer, WireLayer
+from cgemit.detector.parts import (
+    CellWire,
+    CgemLayer,
+    Cylinder,
+    DriftChamber,
+    MeasurementLayer,
+    Shell,
+    SubLayer,
+    WireLayer,
+)
 from cgemit.detector.variants import like
 
 __all__ = [
     "SCREENINGS",
+    "CellWire",
     "CgemLayer",
     "Cylinder",
     "Detector",

@@ -50,6 +50,7 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
             layers.append(row)
         elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
             found = reader.table(f"drift_chamber.layers.{number}", row, WireLayer, defaults=common, siblings=rows)
+            _one_matter(reader, f"drift_chamber.layers.{number}", row, found)
             layers.append(WireLayer(number=int(number), **found))
         else:
             text = shown(str(number))
@@ -59,7 +60,22 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
     if cells > _MOST_CELLS:
         reader.note("drift_chamber.layers", f"{cells} cells", f"at most {_MOST_CELLS}")
     ordered = tuple(sorted(layers, key=lambda layer: layer.number))
+    if any(layer.cell_wires for layer in ordered):
+        values.setdefault("wires", "smeared")
     return DriftChamber(**values, layers=ordered, superlayers=tuple(superlayers))
+
+
+def _one_matter(reader: Reader, path: str, raw: object, values: dict[str, Any]) -> None:
+    """Note a table that states the matter of its wires twice; keep what it states of what holds for all layers."""
+    names = ("cell_wires", "wire_x0")
+    if not all(values.get(name) for name in names) or not isinstance(raw, Mapping):
+        return
+    stated = [name for name in names if name in raw and not isinstance(raw[name], Known)]
+    if len(stated) > 1:
+        reader.note(f"{path}.wire_x0", "also cell_wires", "one of both")
+    else:
+        kept = stated or [name for name in names if name in raw] or names
+        values.pop(names[kept[0] == "cell_wires"])
 
 
 def _laid_over(generated: dict[str, Any], rows: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,6 +95,7 @@ def _superlayers(reader: Reader, tables: Mapping[str, Any], common: Mapping[str,
             continue
         path = f"drift_chamber.superlayers.{label}"
         values = reader.table(path, table, Superlayer, defaults=common, siblings=tables)
+        _one_matter(reader, path, table, values)
         for name, key in keys_of(Superlayer).items():  # relative values have not been checked
             value = values.get(name)
             limits = CELLS[int if isinstance(value, int) else float] if key.kind == "cells" else key
@@ -126,7 +143,8 @@ def _wire_rows(reader: Reader, superlayers: Sequence[Superlayer]) -> dict[str, A
         for i in range(1 if math.isnan(one.layers) else one.layers):
             row, border = _wire_row(one, i, border, shifted=one.stagger and len(rows) % 2 == 1)
             good = good and _possible(reader, path, one, row, len(rows))
-            rows.append({name: getattr(one, name) for name in FOR_ALL_LAYERS} | row if good else _UNUSABLE_ROW)
+            more = {name: getattr(one, name) for name in FOR_ALL_LAYERS} | ({"gas": one.gas} if one.gas else {})
+            rows.append(more | row if good else _UNUSABLE_ROW)
         if not border <= reach:
             reach, before = border, one.label
     rows = rows or [_UNUSABLE_ROW]

@@ -89,7 +89,7 @@ def _part_problems(part: Part) -> list[Problem]:
             shown = format_quantity(value, key.kind) if key.kind in NATIVE else str(value)
             hint = _derived_from(part, name) if isinstance(part, CgemLayer) else ""
             problems.append(Problem(name, shown, key.expected(), hint))
-        elif key.kind == "gas" and not value.gas:
+        elif key.kind == "gas" and value is not None and not value.gas:
             problems.append(Problem(name, f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(name, repr(value), key.expected()))
@@ -315,8 +315,8 @@ def _chamber_problems(chamber: DriftChamber) -> list[Problem]:
         return [Problem("drift_chamber.layers", "no wire layer", expected)]
     problems = [problem for layer in chamber.layers for problem in _wire_problems(layer)]
     sound = _sound_layers(chamber)
-    if chamber.wires == "smeared" and not any(layer.wire_x0 for layer in chamber.layers):
-        expected = 'wire_x0 of [drift_chamber] or of a layer above 0, or wires = "none"'
+    if chamber.wires == "smeared" and not any(layer.wire_x0 or layer.cell_wires for layer in chamber.layers):
+        expected = 'cell_wires or wire_x0 of [drift_chamber] or of a layer, or wires = "none"'
         problems.append(Problem("drift_chamber.wires", '"smeared" and no matter of any wires', expected))
     problems += [found for i in range(len(sound)) if (found := _crossed_wires(sound, i))]
     return problems + _error_problems(sound)

@@ -15,6 +15,7 @@ from cgemit.base.files import read_text
 from cgemit.detector.build import library, read_contents
 from cgemit.detector.check import geometry_problems
 from cgemit.detector.material import x0_of_fractions
+from cgemit.detector.matter import row_shells
 from cgemit.detector.parts import Contents, Shell
 from cgemit.detector.readouts import GaussianReadout
 
@@ -440,10 +441,8 @@ def _written(detector: Contents) -> Iterator[Row]:
         width = min(wires.r_mid - before, 4 * math.pi * wires.r_mid / wires.cells)
         before = wires.r_mid
         tilt = math.atan(wires.r_end * math.sin(0.5 * wires.twist) / wires.half_length)
-        gas = chamber.gas if chamber else None
-        assert gas is not None
-        shell = Shell("gas", "", wires.r_mid - 0.5 * width, wires.r_mid + 0.5 * width, wires.half_length, gas)
-        row = _row((shell,), f"wires{wires.number}", [(tilt, wires.sigma)], gas=True)
+        assert chamber is not None
+        row = _row(row_shells(chamber, wires, width), f"wires{wires.number}", [(tilt, wires.sigma)], gas=True)
         yield replace(row, efficiency=wires.efficiency)
 
 
@@ -479,7 +478,7 @@ def _check_readable(text: str, rows: Sequence[Row], source: str) -> None:
 
 def _row(shells: Sequence[Shell], label: str, views: Sequence[tuple[float, float]] = (), *, gas: bool = False) -> Row:
     """Return the row of neighbouring shells, with their common thickness and radiation length."""
-    thickness = sum(shell.thickness for shell in shells)
+    thickness = shells[0].thickness if gas else sum(shell.thickness for shell in shells)  # wires fill the gas
     x0 = thickness / sum(shell.x0 for shell in shells)
     (one, first), (other, second) = (*views, *[(0.0, 0.0)] * (2 - len(views)))
     radius, name = 0.5 * (shells[0].r_in + shells[-1].r_out), re.sub(r"\s+", "-", label)

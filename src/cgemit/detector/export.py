@@ -24,6 +24,7 @@ from cgemit.detector.matter import ENDLESS, Slab, slabs
 from cgemit.detector.parts import (
     PLACEMENT,
     BackgroundLevel,
+    CellWire,
     CgemLayer,
     Contents,
     Cylinder,
@@ -256,6 +257,8 @@ def materials_of(detector: Contents) -> list[Material]:
         found += [sensor.material, *(part.material for part in sensor.support)]
     if detector.drift_chamber:
         found += [detector.drift_chamber.gas, detector.drift_chamber.wire_material]
+        for wires in detector.drift_chamber.layers:
+            found += [*([wires.gas] if wires.gas else []), *(one.material for one in wires.cell_wires)]
     return found
 
 
@@ -320,6 +323,8 @@ def _value(value: Any, kind: str) -> Any:
         return list(value)
     if kind == "stack":
         return [_sub_layer(part) for part in value]
+    if kind == "wires":
+        return [_table(one) for one in value]
     if kind == "strips":
         return [strip_text(*one) for one in value]
     if kind == "gains":
@@ -363,6 +368,7 @@ def schema() -> dict[str, Any]:
         "complete": _top(complete=True),
         "sub_layer": _schema_table(SubLayer, complete=True),
         "rate_point": _schema_table(RatePoint, complete=True),
+        "cell_wire": _schema_table(CellWire, complete=True),
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -488,6 +494,7 @@ def _schema_value(key: Key) -> dict[str, Any]:
         "material": {"type": "string"},
         "gas": {"type": "string"},
         "stack": {"type": "array", "minItems": 1, "items": {"$ref": "#/$defs/sub_layer"}},
+        "wires": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/cell_wire"}},
         "composition": {
             "anyOf": [
                 {"type": "string", "pattern": r"^([A-Z][a-z]?([1-9]\d*)?)+$"},

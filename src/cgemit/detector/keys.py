@@ -83,6 +83,7 @@ class Key(Quantity):
             "material": "the name of a material",
             "gas": "the name of a material with gas = true",
             "stack": "a list of { label, material, thickness }",
+            "wires": "a list of { material, diameter, number, wall }",
             "composition": 'a formula such as "CO2" or a table of mass fractions such as { Ar = 0.7, C = 0.3 }',
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',

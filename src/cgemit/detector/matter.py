@@ -17,7 +17,7 @@ from cgemit import _core
 from cgemit.detector.check import TOUCH
 from cgemit.detector.keys import once
 from cgemit.detector.material import Element, Material
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, MeasurementLayer, Shell
+from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, MeasurementLayer, Shell, WireLayer
 
 #: Numbers of a slab, in the order of `Row.numbers`: mm, but `x0` dimensionless and `xi` in GeV.
 NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
@@ -329,10 +329,12 @@ def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Sla
         if begin - end > TOUCH:
             found.append(_air(end, begin, detector.air))
     if chamber:
-        # Without a part inside, the chamber begins at its first wire layer.
-        start = inside[-1].r_out if inside else first_wire
+        # Without a part inside, the chamber begins at its first wire layer, or with the cells of wires that count.
+        gas = _gas(chamber)
+        half_cell = math.pi * first_wire / chamber.layers[0].cells if gas.layers[0].wires else 0.0
+        start = inside[-1].r_out if inside else first_wire - half_cell
         walls = tuple((slab.r_in, slab.r_out) for slab in solid if slab.r_in > start - TOUCH)
-        found += _chamber_gas(_gas(chamber), start, walls, merge)
+        found += _chamber_gas(gas, start, walls, merge)
         found += _behind(detector, chamber, solid)
     return found
 
@@ -344,7 +346,7 @@ def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) ->
     found = []
     if outside and outside[0].r_in - last.r_mid > TOUCH:
         text = f"gas behind layer {last.number}"
-        shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.half_length, chamber.gas)
+        shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.half_length, last.gas or chamber.gas)
         found.append(Slab((shell,)))
     for inner, outer in pairwise(outside):
         if outer.r_in - inner.r_out > TOUCH:
@@ -357,19 +359,45 @@ def _air(r_in: float, r_out: float, air: Material) -> Slab:
     return Slab((Shell("air", "air", r_in, r_out, ENDLESS, air),))
 
 
+class _GasLayer(NamedTuple):
+    """What the gas before a wire layer depends on."""
+
+    number: int
+    r_mid: float  # mm
+    half_length: float  # mm
+    material: Material
+    wires: tuple[tuple[Material, float], ...]  # materials and X/X0 of wires that count
+
+
 class _Gas(NamedTuple):
     """What the gas of a chamber depends on: not the errors of the wires, for example."""
 
-    material: Material
-    wires: str
-    metal: Material
-    layers: tuple[tuple[int, float, float, float], ...]  # number, r_mid and half_length (mm), wire_x0
+    layers: tuple[_GasLayer, ...]
 
 
 @once
 def _gas(chamber: DriftChamber) -> _Gas:
-    layers = tuple((one.number, one.r_mid, one.half_length, one.wire_x0) for one in chamber.layers)
-    return _Gas(chamber.gas, chamber.wires, chamber.wire_material, layers)
+    return _Gas(tuple(_gas_layer(chamber, one) for one in chamber.layers))
+
+
+def _gas_layer(chamber: DriftChamber, layer: WireLayer) -> _GasLayer:
+    wires = layer.wire_matter(chamber.wire_material) if chamber.wires == "smeared" else ()
+    return _GasLayer(layer.number, layer.r_mid, layer.half_length, layer.gas or chamber.gas, wires)
+
+
+def row_shells(chamber: DriftChamber, layer: WireLayer, width: float) -> list[Shell]:
+    """Return the gas about a wire layer, some mm wide, and the layer's wires spread over it.
+
+    Parameters
+    ----------
+    chamber : DriftChamber
+    layer : WireLayer
+    width : float
+        mm.
+    """
+    gas = _gas_layer(chamber, layer)
+    shell = Shell("gas", "", layer.r_mid - 0.5 * width, layer.r_mid + 0.5 * width, layer.half_length, gas.material)
+    return [shell, *_wires(gas, shell, 1.0)]
 
 
 def _lumps(gas: Sequence[Slab]) -> list[Slab]:
@@ -397,14 +425,15 @@ def _chamber_gas(gas: _Gas, start: float, walls: tuple[tuple[float, float], ...]
     Where the end plate steps outward from one layer to the next, the lump reaches to the farther plate.
     """
     found = []
-    before = gas.layers[0][2]
-    for number, radius, half_length, x0 in gas.layers:
+    before = gas.layers[0].half_length
+    for layer in gas.layers:
+        number, radius, half_length = layer.number, layer.r_mid, layer.half_length
         here = [wall for wall in walls if start - TOUCH < wall[0] < radius]
         for r_in, r_out in _between(start, radius, here):
             text = f"gas before layer {number}"
-            shell = Shell("gas", text, r_in, r_out, max(before, half_length), gas.material)
+            shell = Shell("gas", text, r_in, r_out, max(before, half_length), layer.material)
             share = (r_out - r_in) / (radius - start)
-            found.append(Slab((shell, *_wires(gas, shell, x0 * share))))
+            found.append(Slab((shell, *_wires(layer, shell, share))))
         start, before = radius, half_length
     return tuple(_lumps(found) if merge else found)
 
@@ -415,11 +444,12 @@ def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> 
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > TOUCH]
 
 
-def _wires(gas: _Gas, shell: Shell, x0: float) -> list[Shell]:
-    """Return the wires as matter spread evenly over a lump of gas: nothing, or one shell of low density."""
-    if gas.wires == "none" or x0 == 0:
-        return []
-    return [shell._replace(label="wires", material=_spread(gas.metal, x0 * gas.metal.x0 / shell.thickness))]
+def _wires(layer: _GasLayer, shell: Shell, share: float) -> list[Shell]:
+    """Return a share of the wires as matter spread evenly over a lump of gas: a shell of low density a material."""
+    return [
+        shell._replace(label="wires", material=_spread(metal, x0 * share * metal.x0 / shell.thickness))
+        for metal, x0 in layer.wires
+    ]
 
 
 def _spread(metal: Material, filling: float) -> Material:

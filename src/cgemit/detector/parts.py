@@ -239,6 +239,35 @@ class SubLayer(Part):
         return hash((self.label, self.thickness))  # as for materials: caches look up stacks often
 
 
+@dataclass(frozen=True, kw_only=True)
+class CellWire(Part):
+    """Wires, or tubes, of one kind in each drift cell.
+
+    Examples
+    --------
+    >>> wires = [{"material": "W", "diameter": "20 um"}, {"material": "Al", "diameter": "120 um", "number": 3}]
+    >>> det = cg.load("besiii-cgem").with_overrides({"drift_chamber.cell_wires": wires})
+    >>> [(one.material.name, one.diameter, one.number) for one in det.drift_chamber.layers[0].cell_wires]
+    [('W', 0.02, 1.0), ('Al', 0.12, 3.0)]
+    """
+
+    material: Material = field(metadata=key("material", "name of the material"))
+    diameter: float = field(metadata=key("length", "outer diameter", 1e-3, 100.0))  # mm
+    number: float = field(metadata=key("dimensionless", "wires for each cell", 0.01, 100.0), default=1.0)
+    wall: float = field(  # mm
+        metadata=key("length", "wall of a tube, such as a straw; 0: a solid wire", 0.0, 10.0), default=0.0
+    )
+
+    @property
+    def area(self) -> float:
+        """Cross-section of the matter of one wire, mm^2."""
+        hole = max(self.diameter - 2 * self.wall, 0.0) if self.wall else 0.0
+        return 0.25 * math.pi * (self.diameter**2 - hole**2)
+
+    def __hash__(self) -> int:
+        return hash((self.diameter, self.number, self.wall))  # as for materials: caches look up layers often
+
+
 StripRanges = tuple[tuple[int, int, int], ...]
 
 
@@ -633,9 +662,6 @@ class MeasurementLayer(MeasuringCylinder):
 
 Layer = CgemLayer | MeasurementLayer
 
-#: Keys of parts that are stacks of materials.
-STACKS: dict[type, tuple[str, ...]] = {CgemLayer: ("cathode", "foil", "anode"), MeasurementLayer: ("support",)}
-
 
 @dataclass(frozen=True, kw_only=True)
 class WireLayer(Part):
@@ -665,6 +691,10 @@ class WireLayer(Part):
     wire_x0: float = field(
         metadata=key("dimensionless", "mean X/X0 of the layer's wires, used if smeared", 0.0, 0.01), default=0.0
     )
+    cell_wires: tuple[CellWire, ...] = field(
+        metadata=key("wires", "wires or tubes of each cell, instead of wire_x0"), default=()
+    )
+    gas: Material | None = field(metadata=key("gas", "gas around the layer (default: the chamber's)"), default=None)
     signal_speed: float = field(  # mm/ns
         metadata=key("speed", "speed of signals along the wire; 0: unknown", 0.0, 300.0), default=0.0
     )
@@ -686,6 +716,23 @@ class WireLayer(Part):
         """Radius of the wires at z = 0, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
 
+    def wire_matter(self, wire_material: Material) -> tuple[tuple[Material, float], ...]:
+        """Return materials and mean X/X0 of the layer's wires at normal incidence and z = 0.
+
+        Of n wires with the cross-section A for each of N cells, a circle at the radius r of the wires crosses
+        N n A/cos(stereo angle): spread over the circle they are N n A/(2 pi r cos(stereo angle)) thick.
+
+        Parameters
+        ----------
+        wire_material : Material
+            Of wires given by `wire_x0`.
+        """
+        if not self.cell_wires:
+            return ((wire_material, self.wire_x0),) if self.wire_x0 else ()
+        longer = math.hypot(1.0, self.r_end * math.sin(0.5 * self.twist) / self.half_length)
+        per_area = self.cells * longer / (2 * math.pi * self.r_mid)
+        return tuple((one.material, one.number * one.area * per_area / one.material.x0) for one in self.cell_wires)
+
     def radius_at(self, z: float) -> float:
         """Return the radius of the wires, or of their continuation, at z; both in mm."""
         return math.hypot(self.r_mid, self.r_end * math.sin(0.5 * self.twist) * z / self.half_length)
@@ -704,6 +751,14 @@ class WireLayer(Part):
             (self.r_end * math.cos(east), self.r_end * math.sin(east), self.half_length),
             (self.r_end * math.cos(west), self.r_end * math.sin(west), -self.half_length),
         )
+
+
+#: Keys of parts that are lists of parts with a material.
+STACKS: dict[type, tuple[str, ...]] = {
+    CgemLayer: ("cathode", "foil", "anode"),
+    MeasurementLayer: ("support",),
+    WireLayer: ("cell_wires",),
+}
 
 
 def _of_wires(name: str) -> Any:
@@ -749,6 +804,8 @@ class Superlayer(Part):
     sigma_slope: float = _of_wires("sigma_slope")
     efficiency: float = _of_wires("efficiency")
     wire_x0: float = _of_wires("wire_x0")
+    cell_wires: tuple[CellWire, ...] = _of_wires("cell_wires")
+    gas: Material | None = _of_wires("gas")  # noqa: RUF009 (a Material is no function)
     signal_speed: float = _of_wires("signal_speed")  # mm/ns
     readout_end: str = _of_wires("readout_end")
 
@@ -768,7 +825,11 @@ class DriftChamber(Placed):
 
     gas: Material = field(metadata=key("gas", "gas of the chamber"))
     wires: str = field(
-        metadata=key("text", "matter of the wires: ignored, or spread over the gas", choices=("none", "smeared")),
+        metadata=key(
+            "text",
+            "matter of the wires: ignored, or spread over the gas (default with cell_wires)",
+            choices=("none", "smeared"),
+        ),
         default="none",
     )
     wire_material: Material = field(metadata=key("material", "material of smeared wires (default Al)", derived=True))
@@ -789,8 +850,13 @@ class DriftChamber(Placed):
         """Return the chamber in one line."""
         cells = sum(layer.cells for layer in self.layers)
         reach = f", r = {self.layers[0].r_mid:.1f} to {self.layers[-1].r_end:.1f} mm" if self.layers else ""
-        matter = {"none": "not counted", "smeared": f"{self.wire_material.name}, spread over the gas"}[self.wires]
-        wires = f"{len(self.layers)} layers, {cells} cells{reach}, gas {self.gas.name}"
+        matter = "not counted"
+        if self.wires == "smeared":
+            found = [one for layer in self.layers for one in layer.wire_matter(self.wire_material)]
+            names = " and ".join(dict.fromkeys(material.name for material, _ in found))
+            matter = f"{names}, {100 * sum(x0 for _, x0 in found):.3g} % X0, spread over the gas"
+        gases = " and ".join(dict.fromkeys((layer.gas or self.gas).name for layer in self.layers)) or self.gas.name
+        wires = f"{len(self.layers)} layers, {cells} cells{reach}, gas {gases}"
         return f"{wires}, matter of the wires {matter}{self.moved_text()}"
 
     @property

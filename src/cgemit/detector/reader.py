@@ -14,7 +14,7 @@ from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, j
 from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CELLS, CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import CgemLayer, Layer, MeasurementLayer, RatePoint, Readout, SubLayer
+from cgemit.detector.parts import CellWire, CgemLayer, Layer, MeasurementLayer, RatePoint, Readout, SubLayer
 from cgemit.detector.readouts import DEFAULT_READOUTS, OF_LAYERS, READOUTS
 from cgemit.units import NATIVE
 
@@ -54,8 +54,8 @@ TOP_LEVEL = {
     "layer": "other layers that measure positions, by label",
     "readout": "readout of the CGEM layers that state none: a name, or a table; in a variant, of all of the base's",
     "walls": "further cylinders by label",
-    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, signal_speed, readout_end hold for "
-    "layers without their own, half_length for superlayers without their own",
+    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, cell_wires, signal_speed, readout_end "
+    "hold for layers without their own, half_length for superlayers without their own",
     "background": "levels of background by label",
     "materials": "materials by name",
 }
@@ -177,7 +177,7 @@ class Reader:
         """Return a value of a part that was read before; materials of the same name may have changed since."""
         if isinstance(value, Material):
             return self.materials.get(value.name) or value
-        if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
+        if isinstance(value, tuple) and value and isinstance(value[0], SubLayer | CellWire):
             materials = [self._known(part.material) for part in value]
             if any(new is not part.material for new, part in zip(materials, value, strict=True)):
                 return tuple(replace(part, material=new) for new, part in zip(materials, value, strict=True))
@@ -227,6 +227,21 @@ class Reader:
             values.setdefault("label", getattr(values["material"], "name", ""))
             parts.append(SubLayer(**values))
         return tuple(parts)
+
+    def _wires(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list) or len(raw) > MOST_POINTS:
+            self.note(path, shown(raw), key.expected())
+            return ()
+        found = []
+        for i, row in enumerate(raw):
+            if isinstance(row, CellWire):  # read before
+                found += self._known((row,))
+                continue
+            wire = CellWire(**self.table(f"{path}[{i}]", row, CellWire))
+            if 2 * wire.wall > wire.diameter:
+                self.note(f"{path}[{i}].wall", f"{wire.wall:g} mm", f"at most half of diameter = {wire.diameter:g} mm")
+            found.append(wire)
+        return tuple(found)
 
     def _profile(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list) or len(raw) > MOST_POINTS:
@@ -398,7 +413,8 @@ FOR_ALL_LAYERS = {
     "sigma": ("sigma", "sigma_slope"),
     "sigma_slope": ("sigma_slope",),
     "efficiency": ("efficiency",),
-    "wire_x0": ("wire_x0",),
+    "wire_x0": ("wire_x0", "cell_wires"),
+    "cell_wires": ("cell_wires", "wire_x0"),
     "signal_speed": ("signal_speed",),
     "readout_end": ("readout_end",),
 }
@@ -646,6 +662,9 @@ def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
     if "superlayers" in changes or "drift_chamber.superlayers" in removed or (superlayers and "half_length" in changes):
         chamber.pop("layers", None)
         chamber.pop(GENERATED, None)
+    tables = [changes, *_tables(changes, "layers").values(), *_tables(changes, "superlayers").values()]
+    if "wires" not in changes and any(isinstance(one, Mapping) and "cell_wires" in one for one in tables):
+        chamber.pop("wires", None)
     for label in superlayers:
         if "half_length" in changes:
             _open(superlayers, label).pop("half_length", None)

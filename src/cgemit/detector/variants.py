@@ -14,7 +14,7 @@ from typing import Any
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.detector.keys import CELLS, Key, Known, Part, default, keys_of, once
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, DriftChamber, MeasurementLayer, Readout, SubLayer
+from cgemit.detector.parts import CellWire, CgemLayer, Contents, DriftChamber, MeasurementLayer, Readout, SubLayer
 from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
 from cgemit.detector.readouts import DEFAULT_READOUTS
 from cgemit.units import NATIVE
@@ -352,8 +352,8 @@ def _digest(part: Part) -> str:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, Material | SubLayer):
+    if isinstance(value, Material | SubLayer | CellWire):
         return f"{getattr(value, 'name', '')} {_digest(value)}"
-    if isinstance(value, tuple) and value and isinstance(value[0], SubLayer):
+    if isinstance(value, tuple) and value and isinstance(value[0], SubLayer | CellWire):
         return " ".join(map(_digest, value))
     return repr(value)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.detector import DetectorError, WireLayer, schema
+from cgemit.detector import DetectorError, WireLayer, schema, slabs
+from cgemit.detector.delphes import card_of
 
 GAS = {"density": "3.913e-4 g/cm3", "composition": {"He": 0.3827, "C": 0.5103, "H": 0.1070}, "gas": True}
 A1 = {"layers": 8, "r_in": "350 mm", "cells": "12 mm", "stereo": ["50 mrad", "-50 mrad"]}
@@ -306,3 +307,115 @@ def test_the_schema_has_superlayers() -> None:
         chamber({"layers": 8}), chamber(A1, layers={}),
     )  # fmt: skip
     assert not any(validator.is_valid(tables) for tables in wrong)
+
+
+#: Cells of the layers, radius at the end plates and holes between the ends of a wire (two a cell) of the chamber of
+#: Belle II, first and last layer of each superlayer: cdc/data/CDC.xml of github.com/belle2/basf2.
+BELLE2 = (
+    (8, 160, 168.0, 238.0, 0), (6, 160, 257.0, 348.0, 18), (6, 192, 365.2, 455.7, 0), (6, 224, 476.9, 566.9, -18),
+    (6, 256, 584.1, 674.1, 0), (6, 288, 695.3, 785.3, 19), (6, 320, 802.5, 892.5, 0), (6, 352, 913.7, 1003.7, -20),
+    (6, 384, 1020.9, 1111.4, 0),
+)  # fmt: skip
+
+
+def belle2_wires(**more: Any) -> dict[str, Any]:
+    """Return the wires of Belle II: 14 336 of tungsten (30 um) and 42 240 of aluminium (126 um), as in its software."""
+    rows: dict[str, Any] = {}
+    for layers, cells, first, last, holes in BELLE2:
+        for i in range(layers):
+            r = first + (last - first) * i / (layers - 1)
+            rows[str(len(rows))] = {
+                "cells": cells, "r_end": f"{r} mm", "half_length": "1000 mm", "twist_cells": 0.5 * holes,
+                "phi_east": "0 rad",
+            }  # fmt: skip
+    wires = [
+        {"material": "W", "diameter": "30 um"},
+        {"material": "Al", "diameter": "126 um", "number": 42240 / 14336},
+    ]
+    common = {"gas": "Own", "sigma": "120 um", "layers": rows, "cell_wires": wires}
+    return chamber(superlayers=None) | {"field": {"bz": "1.5 T"}, "drift_chamber": common | more}
+
+
+def test_wires_of_belle2_by_numbers_and_diameters() -> None:
+    """Each layer has N n pi d^2/4 of metal on a circle of 2 pi r, longer by 1/cos(stereo angle).
+
+    Radiation lengths of tungsten and aluminium are 3.504 mm and 88.97 mm (Particle Data Group).
+    """
+    detector = cg.load(belle2_wires())
+    found = layers_of(detector)
+    assert sum(layer.cells for layer in found) == 14336
+    total = 0.0
+    for layer in found:
+        tilt = math.atan(layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length)
+        sense, fields = (math.pi / 4 * d**2 / x0 for d, x0 in ((0.030, 3.504), (0.126, 88.97)))
+        total += layer.cells * (sense + fields * 42240 / 14336) / (2 * math.pi * layer.r_mid * math.cos(tilt))
+    assert total == pytest.approx(0.002597, abs=1e-6)
+    matter = [shell for slab in slabs(detector) for shell in slab.shells if shell.group == "gas"]
+    wires = [shell for shell in matter if shell.label == "wires"]
+    assert {shell.material.name for shell in wires} == {"W wires", "Al wires"}
+    assert sum(shell.x0 for shell in wires) == pytest.approx(total, rel=2e-3)  # Tsai's radiation length of tungsten
+    text = detector.drift_chamber.text() if detector.drift_chamber else ""
+    assert "matter of the wires W and Al, 0.26 % X0, spread over the gas" in text
+    heavier = cg.analytic(detector, "mu-", p=1.0, cos_theta=0.0).sigma("p")
+    without = cg.analytic(cg.load(belle2_wires(wires="none")), "mu-", p=1.0, cos_theta=0.0).sigma("p")
+    assert float(heavier / without) > 1.1
+
+
+def test_straw_tubes_have_walls() -> None:
+    """A straw of 10 mm with a wall of 30 um has pi (5^2 - 4.97^2) mm2 of matter."""
+    straw = {"material": "Kapton", "diameter": "10 mm", "wall": "30 um"}
+    (layer,) = layers_of(chamber({"layers": 1, "r_in": "300 mm", "cells": "10 mm"}, cell_wires=[straw]))
+    thickness = layer.cells * math.pi * (5**2 - 4.97**2) / (2 * math.pi * layer.r_mid)
+    ((material, x0),) = layer.wire_matter(layer.cell_wires[0].material)
+    assert (material.name, x0) == ("Kapton", pytest.approx(thickness / 284.1))
+    found = problems(chamber(A1, cell_wires=[straw | {"wall": "6 mm"}]))
+    assert found == [("cell_wires[0].wall", "6 mm")]
+
+
+def test_mistakes_of_wires() -> None:
+    assert problems(chamber(A1, cell_wires=[{"material": "Wo", "diameter": "30 um"}])) == [
+        ("cell_wires[0].material", 'unknown material "Wo"')
+    ]
+    assert problems(chamber(A1, cell_wires=[{"material": "W"}])) == [("cell_wires[0]", "only material")]
+    both = {"cell_wires": [{"material": "W", "diameter": "30 um"}], "wire_x0": 1e-5}
+    assert problems(chamber(A1 | both)) == [("superlayers.A1.wire_x0", "also cell_wires")]
+    assert problems(chamber(A1, wires="smeared")) == [("wires", '"smeared" and no matter of any wires')]
+
+
+def test_wires_in_files_with_a_base_and_of_single_superlayers(tmp_path: Path) -> None:
+    wires = [{"material": "W", "diameter": "30 um"}]
+    detector = cg.load(chamber(A1, A2 | {"wire_x0": 1e-5}, cell_wires=wires))
+    assert [bool(layer.cell_wires) for layer in layers_of(detector)] == [True] * 8 + [False] * 4
+    assert [layer.wire_x0 for layer in layers_of(detector)] == [0.0] * 8 + [1e-5] * 4
+    assert cg.load(tomllib.loads(detector.to_toml())) == detector
+    (tmp_path / "base.toml").write_text(_toml(chamber(A1, A2, wires="none")), encoding="utf-8")
+    base: dict[str, Any] = {"base": str(tmp_path / "base.toml")}
+    added = cg.load(base | {"drift_chamber": {"cell_wires": wires}})
+    assert layers_of(added) == layers_of(chamber(A1, A2, cell_wires=wires))
+    assert added.drift_chamber is not None
+    assert added.drift_chamber.wires == "smeared"
+    thinner = added.with_overrides({"drift_chamber.wire_x0": 1e-5})
+    assert all(layer.wire_x0 and not layer.cell_wires for layer in layers_of(thinner))
+    assert added.content_hash != cg.load(base).content_hash != thinner.content_hash
+
+
+def test_superlayers_have_a_gas_of_their_own() -> None:
+    """Half of the layers in argon/isobutane of 121.65 m, the others in the helium mixture of the chamber."""
+    detector = cg.load(chamber(A1 | {"gas": "CgemGas"}, A2))
+    gases = [
+        shell.material.name for slab in slabs(detector, merge=False) for shell in slab.shells if shell.group == "gas"
+    ]
+    assert gases[-5:] == ["CgemGas"] + ["Own"] * 4
+    assert gases.count("CgemGas") == 7  # without walls the chamber begins at its first wires
+    assert cg.load(tomllib.loads(detector.to_toml())) == detector
+    assert detector.drift_chamber is not None
+    assert "gas CgemGas and Own" in detector.drift_chamber.text()
+    assert problems(chamber(A1 | {"gas": "Al"})) == [("superlayers.A1.gas", '"Al", which is no gas')]
+
+
+def test_cards_have_the_matter_of_wires() -> None:
+    detector = cg.load(belle2_wires())
+    rows = [line.split() for line in card_of(detector).splitlines() if line.split()[1:2] and "wires" in line.split()[1]]
+    x0 = sum(float(row[5]) / float(row[6]) for row in rows)
+    gas = sum(shell.x0 for slab in slabs(cg.load(belle2_wires(wires="none"))) for shell in slab.shells)
+    assert x0 == pytest.approx(0.002597 + gas, rel=0.03)

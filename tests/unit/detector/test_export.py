@@ -72,7 +72,9 @@ class Geometry:
 @pytest.mark.parametrize("wires", ["none", "smeared"])
 @pytest.mark.parametrize("name", NAMES)
 def test_matter_along_rays_is_ours(name: str, wires: str, tmp_path: Path) -> None:
-    detector = cg.load(name).with_overrides({"drift_chamber.wires": wires})
+    metal = [{"material": "W", "diameter": "30 um"}, {"material": "Al", "diameter": "120 um", "number": 3}]
+    matter = {"drift_chamber.cell_wires": metal} if name == "kloe2-like" else {}
+    detector = cg.load(name).with_overrides({**matter, "drift_chamber.wires": wires})
     detector.to_gdml(tmp_path / "detector.gdml")
     read = Geometry(tmp_path / "detector.gdml")
     normal = sum(part["x0_percent"] for part in describe(detector)["material"]) / 100
