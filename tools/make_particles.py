@@ -18,12 +18,16 @@ LEAST_C_TAU = 1e-5  # mm
 NAMES = {
     2212: "p", -2212: "anti-p", 2112: "n", -2112: "anti-n", 130: "K0_L", 310: "K0_S",
     3122: "Lambda", -3122: "anti-Lambda", 3322: "Xi0", -3322: "anti-Xi0",
+    1000020030: "He3", -1000020030: "anti-He3", 1000020040: "alpha", -1000020040: "anti-alpha",
 }  # fmt: skip
 #: Massless neutrinos and light nuclei, which the package has without a lifetime.
-STABLE = (12, -12, 14, -14, 16, -16, 1000010020, -1000010020, 1000010030, -1000010030)
+NUCLEI = (1000010020, 1000010030, 1000020030, 1000020040)
+STABLE = (12, -12, 14, -14, 16, -16, *(sign * number for number in NUCLEI for sign in (1, -1)))
 GLUON = 21
 #: Ground states, which the package does not tell: CODATA 2022.
-SPINS = {1000010020: 1.0, 1000010030: 0.5}
+SPINS = {1000010020: 1.0, 1000010030: 0.5, 1000020030: 0.5, 1000020040: 0.0}
+#: GeV/c2, of helium without its electrons, which the package counts: CODATA 2022.
+MASSES = {1000020030: 2.80839161117, 1000020040: 3.7273794118}
 
 
 def rows() -> list[tuple[int, str, int, float, float, float]]:
@@ -35,7 +39,7 @@ def rows() -> list[tuple[int, str, int, float, float, float]]:
     for one in sorted(kept, key=lambda one: (abs(int(one.pdgid)), -int(one.pdgid))):
         number = int(one.pdgid)
         lifetime = float("inf") if number in STABLE else float(f"{one.lifetime:.7g}")
-        mass = round((one.mass or 0.0) * 1e-3, 15)  # MeV to GeV
+        mass = MASSES.get(abs(number), round((one.mass or 0.0) * 1e-3, 15))  # MeV to GeV
         spin = SPINS[abs(number)] if one.J is None else float(one.J)
         table.append((number, NAMES.get(number, one.evtgen_name), int(one.charge), mass, spin, lifetime))
     return table

@@ -162,17 +162,19 @@ def _with_covariance(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> tuple[Flo
     return array, covariance
 
 
-def momentum(parameters: npt.ArrayLike) -> Floats:
+def momentum(parameters: npt.ArrayLike, charge: npt.ArrayLike = 1) -> Floats:
     """Momentum of helices.
 
     Parameters
     ----------
     parameters : array_like, (n, 5) or (5,) float64
+    charge : array_like, (n,) or (), e
+        Its sign is that of kappa.
 
     Returns
     -------
     ndarray, (n,) or () float64, GeV/c
-        sqrt(1 + tanl^2) / |kappa|.
+        |charge| sqrt(1 + tanl^2) / |kappa|.
 
     Examples
     --------
@@ -181,20 +183,22 @@ def momentum(parameters: npt.ArrayLike) -> Floats:
     """
     _, _, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.sqrt(1 + tanl**2) / np.abs(kappa))
+        return np.asarray(np.abs(charge) * (np.sqrt(1 + tanl**2) / np.abs(kappa)))
 
 
-def momentum_vector(parameters: npt.ArrayLike) -> Floats:
+def momentum_vector(parameters: npt.ArrayLike, charge: npt.ArrayLike = 1) -> Floats:
     """Momentum of helices at the point that is closest to their pivot.
 
     Parameters
     ----------
     parameters : array_like, (n, 5) or (5,) float64
+    charge : array_like, (n,) or (), e
+        Its sign is that of kappa.
 
     Returns
     -------
     ndarray, (n, 3) or (3,) float64, GeV/c
-        (-sin phi0, cos phi0, tanl) / |kappa|.
+        |charge| (-sin phi0, cos phi0, tanl) / |kappa|.
 
     Examples
     --------
@@ -203,7 +207,8 @@ def momentum_vector(parameters: npt.ArrayLike) -> Floats:
     """
     _, phi0, kappa, _, tanl = np.moveaxis(_parameters(parameters), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=-1) / np.abs(kappa)[..., None])
+        direction = np.stack([-np.sin(phi0), np.cos(phi0), tanl], axis=-1)
+        return np.asarray(np.abs(charge)[..., None] * (direction / np.abs(kappa)[..., None]))
 
 
 def change_pivot(
@@ -325,13 +330,15 @@ def path_to(radius: npt.ArrayLike, kappa: npt.ArrayLike, bz: float) -> tuple[Flo
     return turned, np.asarray(np.divide(radius, np.sinc(turned / np.pi)))
 
 
-def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
+def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike, charge: npt.ArrayLike = 1) -> Floats:
     """Standard deviation of the momentum.
 
     Parameters
     ----------
     parameters : array_like, (n, 5) or (5,) float64
     cov : array_like, (n, 5, 5) or (5, 5) float64
+    charge : array_like, (n,) or (), e
+        Its sign is that of kappa.
 
     Returns
     -------
@@ -346,7 +353,7 @@ def momentum_error(parameters: npt.ArrayLike, cov: npt.ArrayLike) -> Floats:
     True
     """
     parameters, cov = _with_covariance(parameters, cov)
-    p, kappa, tanl = momentum(parameters), parameters[..., 2], parameters[..., 4]
+    p, kappa, tanl = momentum(parameters, charge), parameters[..., 2], parameters[..., 4]
     with np.errstate(divide="ignore", invalid="ignore"):
         by_kappa, by_tanl = -p / kappa, p * tanl / (1 + tanl * tanl)
         both = 2 * by_kappa * by_tanl * cov[..., 2, 4]

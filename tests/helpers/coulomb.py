@@ -22,14 +22,14 @@ def strength(z):
     return K * ELECTRON * z * z, K * ELECTRON * z
 
 
-def screening_squared(z, beta2, screening):
-    """Return the squared screening momentum, GeV^2: Moliere's 1.13 + 3.76 (Z alpha/beta)^2, Thomas-Fermi radius.
+def screening_squared(z, beta2, screening, charge=1):
+    """Return the squared screening momentum, GeV^2: Moliere's 1.13 + 3.76 (Z z alpha/beta)^2, Thomas-Fermi radius.
 
     chi_0 p = alpha m_e Z^(1/3)/0.885 (G. Moliere, Z. Naturforsch. 2a (1947) 133; H.A. Bethe, Phys. Rev. 89 (1953)
     1256); "wentzel" multiplies by 1 + exp(-Z^2/1000), hydrogen by 1, as Geant4's G4WentzelOKandVIxSection.
     """
     thomas_fermi = FINE_STRUCTURE * ELECTRON * z ** (1 / 3) / 0.885
-    born = 1.13 + 3.76 * (z * FINE_STRUCTURE) ** 2 / beta2
+    born = 1.13 + 3.76 * (z * charge * FINE_STRUCTURE) ** 2 / beta2
     return thomas_fermi**2 * born * (1 + np.exp(-z * z / 1000) if screening == "wentzel" and z >= 2 else 1)
 
 
@@ -41,13 +41,13 @@ def recoil(p, mass):
     return 4 * ELECTRON**2 * (p / mass) ** 2 / (1 + 2 * energy / mass * ELECTRON / mass + (ELECTRON / mass) ** 2)
 
 
-def species(elements, p, mass, screening):
+def species(elements, p, mass, screening, charge=1):
     """Return kinds of scatterers as (strength/beta^2 GeV^2, screening GeV^2, nuclear size GeV^-2, limit GeV^2)."""
     beta2 = p * p / (p * p + mass * mass)
     found = []
     for z, a, moles in elements:
-        nucleus, electrons = strength(z)
-        a2 = screening_squared(z, beta2, screening)
+        nucleus, electrons = (charge**2 * one for one in strength(z))
+        a2 = screening_squared(z, beta2, screening, charge)
         size = (1.27 * a**0.27 / HBAR_C) ** 2 / 12  # Butkevich et al., Nucl. Instrum. Methods A 488 (2002) 282
         found.append((nucleus * moles / beta2, a2, size, 4 * p * p))
         found.append((electrons * moles / beta2, a2, 0.0, min(recoil(p, mass), 4 * p * p)))
@@ -85,13 +85,13 @@ def scattered(elements, p, mass, screening, n, seed=1, chunk=1_000_000):
     return total
 
 
-def exact_quantiles(elements, p, mass, screening, fractions):
+def exact_quantiles(elements, p, mass, screening, fractions, charge=1):
     """Return central half widths of the plane angle, rad: no samples, the characteristic function itself.
 
     Independent scatters of density f(q^2) at random azimuth: ln phi(k) = integral of (J0(k q/p) - 1) f dq^2 for each
     projection; the probability of |angle| < t is (2/pi) integral of phi(k) sin(k t)/k dk. Small angles.
     """
-    kinds = species(elements, p, mass, screening)
+    kinds = species(elements, p, mass, screening, charge)
     width = np.sqrt(sum(c * np.log(c / a2 + 3) for c, a2, _, _ in kinds)) / p
     k = np.linspace(0, 12, 901)[1:] / width
     log_phi = np.zeros_like(k)
@@ -112,7 +112,7 @@ def exact_quantiles(elements, p, mass, screening, fractions):
     )
 
 
-def core_angle(parts, p, mass, screening="wentzel", total=None):
+def core_angle(parts, p, mass, screening="wentzel", total=None, charge=1):
     """Return the plane angle that the fit takes for parts (matter, thickness mm) of a track that crosses `total`.
 
     G.R. Lynch and O.I. Dahl, Nucl. Instrum. Methods B 58 (1991) 6, with F = 0.98 and v >> 1:
@@ -124,12 +124,12 @@ def core_angle(parts, p, mass, screening="wentzel", total=None):
     def all_elements(which):
         return [row for matter, thickness in which for row in matter.moles(thickness)]
 
-    whole = sum(sum(strength(z)) * moles for z, _, moles in all_elements(total or parts))
+    whole = charge**2 * sum(sum(strength(z)) * moles for z, _, moles in all_elements(total or parts))
     end = whole / beta2 / (2 * (1 - 0.98))
     variance = 0.0
     for z, _, moles in all_elements(parts):
-        nucleus, electrons = strength(z)
-        a2 = screening_squared(z, beta2, screening)
+        nucleus, electrons = (charge**2 * one for one in strength(z))
+        a2 = screening_squared(z, beta2, screening, charge)
         variance += moles * nucleus * (np.log(end / a2) - 1)
         variance += moles * electrons * (np.log(min(end, recoil(p, mass)) / a2) - 1)
     return np.sqrt(variance / (1 + 0.98**2) / beta2) / p

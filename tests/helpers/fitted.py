@@ -17,7 +17,12 @@ def make_tracks(n=N, seed=1, **columns):
     random = rng(seed)
     zeros = {c.name: np.zeros((n, *c.shape), c.dtype) for c in SCHEMAS["tracks"]}
     zeros["match"] = np.zeros(n, np.int8)
-    values = {"event": np.arange(n), "ndf": np.full(n, 20), "chi2": random.chisquare(20, n)}
+    values = {
+        "event": np.arange(n),
+        "charge": np.ones(n, np.int8),
+        "ndf": np.full(n, 20),
+        "chi2": random.chisquare(20, n),
+    }
     for name in PARAMETERS:
         values[f"pull_{name}"] = random.standard_normal(n)
         values[f"res_{name}"] = 0.001 * values[f"pull_{name}"]

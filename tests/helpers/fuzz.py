@@ -94,7 +94,10 @@ def garbage(n, random):
     view[~wires] = clusters["view"]
     candidates = {"event": np.arange(n), "candidate": np.zeros(n, int), "pdg": np.abs(particles["pdg"])}
     columns = {"event": track, "candidate": track, "view": view, "row": row}
-    tables = Table("candidates", candidates | {"mass": particles["mass"]}, n), Table("candidate_hits", columns, n)
+    tables = (
+        Table("candidates", candidates | {"mass": particles["mass"], "charge": np.abs(particles["charge"])}, n),
+        Table("candidate_hits", columns, n),
+    )
     return Input(detector, particles, Hits(*tables, clusters, wire_hits))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from cgemit import _core
 
 ELECTRON, MUON, PION, KAON, PROTON = 0.51099895e-3, 0.1056583755, 0.13957039, 0.493677, 0.93827208816  # GeV
+ALPHA = 3.7273794118
 
 
 class Matter(NamedTuple):

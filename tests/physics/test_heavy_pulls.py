@@ -1,12 +1,15 @@
-"""Errors of p and kappa of slow kaons and protons, which scattering in the chamber gas decides, are right."""
+"""Errors of slow kaons and protons, which scattering in the chamber gas decides, and of alphas are right."""
 
 from __future__ import annotations
 
 import pytest
 
+from cgemit.analysis.quantities import median_error
 from cgemit.chain.run import run
 from cgemit.chain.settings import Settings
+from cgemit.covariance.analytic import analytic
 from cgemit.particles.gun import Gun
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import Pulls, pulls
 
@@ -39,3 +42,32 @@ def test_one_logarithm_for_all_matter_fails(particle: str) -> None:
     found = pulls_of("besiii-cgem-design", particle, 0.5)
     assert found["p"].core < 1 - WIDTH
     assert found["kappa"].core < 1 - WIDTH
+
+
+@pytest.mark.parametrize(
+    ("detector", "particle", "p"),
+    [("besiii-cgem", "alpha", (2.0, 5.0)), ("besiii-cgem", "He3", (1.5, 4.0)), ("epic-like", "alpha", (2.0, 5.0))],
+)
+def test_pulls_of_helium(detector: str, particle: str, p: tuple[float, float]) -> None:
+    """All five parameters and p have pulls of width 1, within 5 %."""
+    found = pulls(run(detector, Gun(particle, p=p, cos_theta=(-0.7, 0.7)), N, seed=17).tracks)
+    for name in ("dr", "phi0", "kappa", "dz", "tanl", "p"):
+        assert abs(found[name].core - 1) < 0.05, name
+        assert abs(found[name].core_mean) < WIDTH, name
+
+
+def test_helium_fitted_as_protons_fails() -> None:
+    """With the mass and charge of a proton, scattering and loss are too small and the momentum is half as large."""
+    settings = Settings(fit=FitSettings(hypothesis="p"))
+    result = run("besiii-cgem", Gun("alpha", p=(2.0, 5.0), cos_theta=(-0.7, 0.7)), 1000, seed=17, settings=settings)
+    found = pulls(result.tracks)
+    assert found["dr"].core > 1.2
+    assert found["p"].core_mean < -10  # half of the momentum
+
+
+def test_expected_errors_of_alphas() -> None:
+    """The analytic covariance has the errors of the fit."""
+    expected = analytic("besiii-cgem", "alpha", p=2.5, cos_theta=0.3, readout="gaussian")
+    result = run("besiii-cgem", Gun("alpha", p=2.5, cos_theta=0.3), 1000, seed=17, readout="gaussian")
+    for name in ("dr", "dz", "p", "phi0", "tanl"):
+        assert median_error(result.tracks, name) == pytest.approx(float(expected.sigma(name)), rel=0.03), name

@@ -38,7 +38,6 @@ class TransportStatus(enum.IntEnum):
     decayed = 6
     at_rest = 7
     out_of_range = 8
-    multiply_charged = 9
 
 class FitStatus(enum.IntEnum):
     ok = 0
@@ -399,6 +398,7 @@ def fit(
     hit_offsets: npt.ArrayLike,
     hits: _Columns,
     mass: npt.ArrayLike,
+    charge: npt.ArrayLike = ...,
     start: npt.ArrayLike,
     start_radius: npt.ArrayLike = ...,
     settings: dict[str, Any],
@@ -421,6 +421,7 @@ def covariances(
     kappa: npt.ArrayLike,
     tanl: npt.ArrayLike,
     mass: npt.ArrayLike,
+    charge: npt.ArrayLike = ...,
     scatters: npt.ArrayLike,
     samples: int,
     phases: npt.ArrayLike,
@@ -452,6 +453,7 @@ def states(
     kinks: npt.ArrayLike,
     prior: npt.ArrayLike,
     mass: npt.ArrayLike,
+    charge: npt.ArrayLike = ...,
     matter_p: npt.ArrayLike = ...,
     start_radius: npt.ArrayLike = ...,
     fitted: npt.ArrayLike,
@@ -464,13 +466,20 @@ def extrapolate(
     helix: npt.ArrayLike,
     cov: npt.ArrayLike,
     mass: npt.ArrayLike,
+    charge: npt.ArrayLike = ...,
     matter_p: npt.ArrayLike = ...,
     radius: float,
     share: npt.ArrayLike,
     target_share: float,
 ) -> dict[str, _Array]: ...
 def matter_momenta(
-    *, kappa: npt.ArrayLike, sigma: npt.ArrayLike, tanl: npt.ArrayLike, momentum: float, bz: float
+    *,
+    kappa: npt.ArrayLike,
+    sigma: npt.ArrayLike,
+    tanl: npt.ArrayLike,
+    charge: npt.ArrayLike = ...,
+    momentum: float,
+    bz: float,
 ) -> _Floats: ...
 def change_pivot(
     helix: npt.ArrayLike, cov: npt.ArrayLike, step: npt.ArrayLike, bz: npt.ArrayLike

@@ -584,6 +584,7 @@ def _track_table(given: Columns | None, named: Mapping[str, Table], detector: De
         error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     columns: dict[str, npt.ArrayLike] = {name: given[name] for name in ("event", "hypothesis", "chi2", "ndf", "cov")}
     columns |= {"candidate": candidate, "track": given["candidate"], "p": helix.momentum(fitted)}
+    columns["charge"] = np.ones(len(fitted), np.int8)  # that BOSS assumes
     columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}
     columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
     columns |= {

@@ -50,10 +50,10 @@ class Quantity:
     spellings : tuple of str
         Further names that arguments may have, beside `name`, `symbol` and `sigma`.
     value : callable or None
-        Value, native unit, from columns of helix parameters. None: the tracks have a column of residuals.
+        Value, native unit, from columns of helix parameters and ``charge``. None: tracks have a column of residuals.
     slopes : callable or None
-        Non-zero derivatives of `value` with respect to helix parameters, by parameter, from columns ``kappa`` and
-        ``tanl``.
+        Non-zero derivatives of `value` with respect to helix parameters, by parameter, from columns ``kappa``,
+        ``tanl`` and ``charge``.
     relative : bool
         Whether residual and resolution are divided by the value.
     reported : bool
@@ -92,7 +92,7 @@ class Quantity:
     def error(self, tracks: Columns) -> Floats:
         """Return the fit's own error of each track, (n,) float64 in the quoted unit; NaN without a covariance."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.sqrt(self.variance(tracks["cov"][:, *UPPER], tracks["kappa"], tracks["tanl"]))
+            return np.sqrt(self.variance(tracks["cov"][:, *UPPER], tracks["kappa"], tracks["tanl"], tracks["charge"]))
 
     @property
     def is_momentum(self) -> bool:
@@ -120,19 +120,20 @@ class Quantity:
             weak = weak & (np.asarray(tracks[f"err_{along}"]) < _core.MOST_ERROR * sigma)
         return np.asarray(ok | weak)
 
-    def gradient(self, kappa: Floats, tanl: Floats) -> Floats:
+    def gradient(self, kappa: Floats, tanl: Floats, charge: npt.ArrayLike) -> Floats:
         """Return the derivatives with respect to (dr, phi0, kappa, dz, tanl), quoted per native unit.
 
         Parameters
         ----------
         kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
+        charge : array_like, (tracks,) or (), e
 
         Returns
         -------
         ndarray, (tracks, 5) float64
         """
         rows = np.zeros((len(kappa), len(helix.PARAMETERS)))
-        at = {"kappa": kappa, "tanl": tanl}
+        at = {"kappa": kappa, "tanl": tanl, "charge": np.asarray(charge)}
         slopes = {self.name: 1.0} if self.slopes is None else self.slopes(at)
         for name, slope in slopes.items():
             rows[:, helix.PARAMETERS.index(name)] = slope
@@ -141,7 +142,7 @@ class Quantity:
             rows /= self.value(at)[:, None]
         return self.factor * rows
 
-    def variance(self, entries: Floats, kappa: Floats, tanl: Floats) -> Floats:
+    def variance(self, entries: Floats, kappa: Floats, tanl: Floats, charge: npt.ArrayLike) -> Floats:
         """Return the variance for each covariance, in the square of the quoted unit.
 
         Parameters
@@ -149,12 +150,13 @@ class Quantity:
         entries : ndarray, (..., tracks, 15) float64
             Upper triangles of covariances of (dr, phi0, kappa, dz, tanl); detectors may add axes in front.
         kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
+        charge : array_like, (tracks,) or (), e
 
         Returns
         -------
         ndarray, (..., tracks) float64
         """
-        weights = self.gradient(kappa, tanl)
+        weights = self.gradient(kappa, tanl, charge)
         used = np.any(weights != 0, axis=0)  # one to three of the five parameters
         found = np.zeros(entries.shape[:-1])
         for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
@@ -163,21 +165,27 @@ class Quantity:
         return found
 
 
-_ANY: Columns = {"kappa": np.ones(1), "tanl": np.zeros(1)}
+_ANY: Columns = {"kappa": np.ones(1), "tanl": np.zeros(1), "charge": np.ones(1)}
 
 
 class _Truth:
-    """The true helix parameters of tracks, by the names of the fitted ones."""
+    """The true helix parameters and charge of tracks, by the names of the fitted ones."""
 
     def __init__(self, tracks: Columns) -> None:
         self._tracks = tracks
 
     def __getitem__(self, name: str, /) -> Any:
-        return self._tracks[f"truth_{name}"]
+        return np.abs(true_charge(self._tracks)) if name == "charge" else self._tracks[f"truth_{name}"]
+
+
+def true_charge(tracks: Columns) -> Floats:
+    """Return the charge of the particle of each track, (tracks,) float64, e; NaN without a truth."""
+    kappa, tanl = tracks["truth_kappa"], tracks["truth_tanl"]
+    return np.asarray(np.rint(tracks["truth_p"] * kappa / np.sqrt(1 + tanl**2)))
 
 
 def _pt(h: Columns) -> Floats:
-    return np.asarray(1 / np.abs(h["kappa"]))
+    return np.asarray(np.abs(h["charge"]) * (1 / np.abs(h["kappa"])))
 
 
 def _pt_slopes(h: Columns) -> dict[str, Floats]:

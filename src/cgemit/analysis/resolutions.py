@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, Quantity, quantity_of
+from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, Quantity, quantity_of, true_charge
 from cgemit.analysis.widths import HEAD, Floats, Resolution, measure, stacked
 from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import InTurn
@@ -23,9 +23,9 @@ from cgemit.tables.show import Comparable, Shown, Tabular, html_table, with_erro
 #: What tracks can be binned in: a function of the table, and the unit.
 BY: dict[str, tuple[Callable[[Table | TrackColumns], Floats], str]] = {
     "p": (lambda tracks: tracks["truth_p"], "GeV/c"),
-    "pt": (lambda tracks: 1 / np.abs(tracks["truth_kappa"]), "GeV/c"),
+    "pt": (lambda tracks: np.abs(true_charge(tracks)) * (1 / np.abs(tracks["truth_kappa"])), "GeV/c"),
     "cos_theta": (lambda tracks: tracks["truth_tanl"] / np.sqrt(1 + tracks["truth_tanl"] ** 2), ""),
-    "charge": (lambda tracks: np.sign(tracks["truth_kappa"]), "e"),
+    "charge": (true_charge, "e"),
 }
 
 

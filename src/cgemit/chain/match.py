@@ -306,9 +306,10 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
         Columns truth_*, res_*, pull_* of the matches table; NaN where there is no particle.
     """
     truth = np.concatenate([helix.at_origin_in(particles, field), np.full((1, 5), np.nan)])[row]
+    charge = np.append(particles["charge"], 0)[row]
     columns: dict[str, Floats] = {}
     quantities = [(name, truth[:, i]) for i, name in enumerate(helix.PARAMETERS)]
-    for name, true in [*quantities, ("p", helix.momentum(truth))]:
+    for name, true in [*quantities, ("p", helix.momentum(truth, charge))]:
         residual = tracks[name] - true
         if name == "phi0":
             residual = helix.wrap_angle(residual)

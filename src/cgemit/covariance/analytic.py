@@ -98,6 +98,7 @@ def _states(
         kinks=np.zeros((n, 2 * core.n_slabs)),
         prior=np.tile(np.diag(np.square(tracks.fit.prior_in(tracks.detector))).ravel(), (n, 1)),
         mass=tracks.mass[rows],
+        charge=tracks.charge[rows],
         fitted=np.ones(n, np.uint8),
         targets={
             "surface": np.array([Surface.cylinder], np.int8), "radius": np.array([radius]),
@@ -244,9 +245,9 @@ def _tracks(
     scatter = number > 1 and points.at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
-        detector, fit, hits.model, sample.psi, sample.kappa, sample.tanl, sample.mass, scatters.astype(np.float64),
-        number, sample.phases, threads,
-        efficiencies_of(detector, sample.kappa, sample.tanl, sample.mass),
+        detector, fit, hits.model, sample.psi, sample.kappa, sample.tanl, sample.mass, sample.charge,
+        scatters.astype(np.float64), number, sample.phases, threads,
+        efficiencies_of(detector, sample.kappa, sample.tanl, sample.mass, sample.charge),
     )  # fmt: skip
     return sample, tracks
 

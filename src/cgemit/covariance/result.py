@@ -89,7 +89,8 @@ def _together(found: Sequence[Entries], quantities: Sequence[str]) -> Iterator[W
     number = len(sample.phases)
     n_points = sample.kappa.size // number
     covariance = np.stack([one.covariance for one in found])
-    every = np.array([quantity_of(name).variance(covariance, sample.kappa, sample.tanl) for name in quantities])
+    at = sample.kappa, sample.tanl, sample.charge
+    every = np.array([quantity_of(name).variance(covariance, *at) for name in quantities])
     sigma = core_width(every.reshape(-1, number)).reshape(len(quantities), count, -1)
     status, reached = status_of(np.stack([one.status for one in found]).reshape(-1, number))
     weak = unconstrained(covariance, sample.kappa, sample.tanl, number).ravel()
@@ -114,7 +115,7 @@ def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) 
         Of the tracks of each point.
     """
     known = QUANTITIES["p_rel"]
-    variance = known.variance(covariance, kappa, tanl) / known.factor**2
+    variance = known.variance(covariance, kappa, tanl, 1.0) / known.factor**2  # relative: of any charge
     variance = variance.reshape(*variance.shape[:-1], -1, number)
     with np.errstate(invalid="ignore"):
         return np.asarray(mean(variance, ~np.isnan(variance)) > _core.MOST_ERROR**2)
@@ -323,7 +324,7 @@ def budget_of(
         If the quantity is not known, or depends on a parameter that varies within a point.
     """
     known = quantity_of(quantity)
-    rows = known.gradient(tracks.kappa, tracks.tanl).reshape(-1, tracks.samples, 5)
+    rows = known.gradient(tracks.kappa, tracks.tanl, tracks.charge).reshape(-1, tracks.samples, 5)
     if np.any(np.ptp(rows, axis=1) > 1e-12 * np.abs(rows).max(axis=1)):
         raise ValueError(f"budget of {quantity}: got a range of p or cos(theta); expected fixed values")
     weights = rows[:, 0]
@@ -460,7 +461,8 @@ class Covariance:
         It is NaN without a covariance, and for momenta and kappa where the status is `unconstrained`.
         """
         tracks, known = self._tracks, quantity_of(quantity)
-        found = known.variance(self._columns["covariance"], tracks.kappa, tracks.tanl).reshape(-1, tracks.samples)
+        found = known.variance(self._columns["covariance"], tracks.kappa, tracks.tanl, tracks.charge)
+        found = found.reshape(-1, tracks.samples)
         if known.is_momentum:
             found[self._unconstrained] = np.nan
         return found.reshape(*self.p.shape, tracks.samples)

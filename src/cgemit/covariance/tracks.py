@@ -45,6 +45,7 @@ class Tracks:
     kappa: Floats
     tanl: Floats
     mass: Floats
+    charge: Floats  # e, unsigned
     scatters: Floats  # 1 for trajectories that scatter, with the angles of their sample; 0 for the expected trajectory
     samples: int
     phases: Floats
@@ -74,7 +75,7 @@ class Tracks:
             rows = slice(first, min(first + step, n))
             found: dict[str, Any] = _core.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
-                scatters=self.scatters[rows],
+                charge=self.charge[rows], scatters=self.scatters[rows],
                 samples=self.samples, phases=self.phases,
                 efficiencies=self.efficiencies[rows], model=self.model, budget=budget, hits=hits,
                 variants=list(variants),
@@ -112,7 +113,7 @@ def most_unseen(layer: Layer) -> float:
     return 1 - layer.efficiency * found
 
 
-def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Floats) -> Floats:
+def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Floats, charge: Floats) -> Floats:
     """Return the probability that tracks from the origin have clusters, (tracks, layers) or, if they are certain, (0,).
 
     The path through a gap is that of the direction in its middle, on a circle in the field at the origin.
@@ -120,12 +121,12 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
     Parameters
     ----------
     detector : Detector
-    kappa, tanl, mass : ndarray, (tracks,) float64, (GeV/c)^-1, 1 and GeV/c2
+    kappa, tanl, mass, charge : ndarray, (tracks,) float64, (GeV/c)^-1, 1, GeV/c2 and e
     """
     if all(most_unseen(layer) < _LEAST_LOSS for layer in detector.layers):
         return np.zeros(0)
     slant = np.hypot(1.0, tanl)
-    ln_betagamma = np.log(slant / np.abs(kappa) / mass)
+    ln_betagamma = np.log(charge * slant / np.abs(kappa) / mass)
     found = np.ones((len(kappa), len(detector.layers)))
     for number, layer in enumerate(detector.layers):
         if not isinstance(layer, CgemLayer):
@@ -133,7 +134,7 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
             continue
         turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)
         path = layer.drift_gap * slant / np.maximum(np.cos(turned), _MOST_SLANTED)
-        clusters = clusters_per_mm(layer.gas, ln_betagamma) * path
+        clusters = charge**2 * clusters_per_mm(layer.gas, ln_betagamma) * path
         found[:, number] = layer.efficiency * enough_electrons(layer.gas, clusters, layer.readout.least_electrons)
     return found
 
@@ -300,7 +301,7 @@ class Points(Part):
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """The tracks of points, (tracks,) float64 in native units.
+    """The tracks of points, (tracks,) float64 in native units; `charge` is unsigned.
 
     `phases` (samples, 2 layers) are the positions of the strips of each view.
     """
@@ -309,6 +310,7 @@ class Sample:
     kappa: Floats
     tanl: Floats
     mass: Floats
+    charge: Floats
     phases: Floats
 
 
@@ -398,8 +400,8 @@ def sample_of(points: Points, number: int, layers: int) -> Sample:
     psi = np.where(np.isnan(azimuth), 2 * np.pi * drawn[:, 0] - np.pi, azimuth)
     sine = np.sqrt(1 - cosine * cosine)
     kappa, tanl = (points.charge.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
-    mass = np.repeat(points.mass.ravel(), number)
-    return Sample(psi.ravel(), kappa, tanl, mass, np.ascontiguousarray(drawn[:, 3:]))
+    mass, charge = (np.repeat(one.ravel(), number) for one in (points.mass, np.abs(points.charge)))
+    return Sample(psi.ravel(), kappa, tanl, mass, charge, np.ascontiguousarray(drawn[:, 3:]))
 
 
 def _limits(name: str, given: Any, dimension: str, problems: Problems) -> tuple[Floats, Floats]:

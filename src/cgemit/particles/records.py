@@ -22,7 +22,7 @@ import numpy as np
 from cgemit.base.errors import Problem, ProblemsError
 from cgemit.base.files import check_regular, package
 from cgemit.particles import hepmc_process
-from cgemit.particles.species import KNOWN, charge_of, is_nucleus, nuclear_mass
+from cgemit.particles.species import KNOWN, charge_of, usual_mass
 from cgemit.tables.schema import Array
 from cgemit.units import LIGHT
 
@@ -123,7 +123,7 @@ def _charge_and_mass(columns: Mapping[str, Array], path: Path, charges: Mapping[
     found = [charges.get(int(one), charge_of(int(one))) for one in numbers]
     known = np.array([one is not None for one in found], np.bool_)[place]
     charge = np.array([one or 0 for one in found], np.int64)[place]
-    usual = np.array([_usual_mass(int(one)) for one in numbers], np.float64)[place]
+    usual = np.array([usual_mass(int(one)) for one in numbers], np.float64)[place]
     if given is not None:  # of a record that has charges
         from_file = ~np.isin(pdg, [*KNOWN, *charges]) & np.isfinite(given) & (given == np.rint(given))
         charge, known = np.where(from_file, np.rint(given), charge).astype(np.int64), known | from_file
@@ -143,13 +143,6 @@ def _charge_and_mass(columns: Mapping[str, Array], path: Path, charges: Mapping[
         )
     charge[massless] = 0
     return charge, np.where(np.isfinite(mass) & (mass > 0), mass, 0.0)
-
-
-def _usual_mass(pdg: int) -> float:
-    """Return the mass of a listed particle or a nucleus; NaN: that of the record counts."""
-    if pdg in KNOWN:
-        return KNOWN[pdg].mass
-    return nuclear_mass(pdg) if is_nucleus(pdg) else np.nan
 
 
 def read_hepmc(path: Path) -> Record:

@@ -81,6 +81,8 @@ _SPELLINGS = {
     2112: "n n0 neutron",
     -2112: "antin nbar n~ antineutron antin0",
     130: "k0l kl klong kl0",
+    1000020030: "he3 helium3 3he",
+    1000020040: "alpha he4 helium4 4he α",
 }
 _BOTH_CHARGES = {"pi": "pi+ or pi-", "pion": "pi+ or pi-", "π": "pi+ or pi-", "k": "K+ or K-", "kaon": "K+ or K-"}
 
@@ -184,14 +186,13 @@ def _thirds_of_hadron(number: int) -> int | None:
 
 
 _NUCLEON = (0.93956542194, 0.93827208943)  # GeV/c2; CODATA 2022
-_LIGHT_NUCLEI = {(1, 1): _NUCLEON[1], (2, 3): 2.80839161117, (2, 4): 3.7273794118}  # by Z and A; CODATA 2022
 
 
 def nuclear_mass(pdg: int) -> float:
     """Return the mass of a nucleus in GeV/c2 by its number 10LZZZAAAI.
 
-    Hydrogen and helium have their measured masses, others that of Weizsaecker's formula (within 0.1 % from A = 12 on;
-    the binding of hyperons is left out).
+    Hydrogen and listed nuclei have their measured masses, others that of Weizsaecker's formula (within 0.1 % from
+    A = 12 on; the binding of hyperons is left out).
 
     Parameters
     ----------
@@ -201,14 +202,26 @@ def nuclear_mass(pdg: int) -> float:
     if number in KNOWN:
         return KNOWN[number].mass
     a, z, hyperons = number // 10 % 1000, number // 10_000 % 1000, number // 10_000_000 % 10
-    if not hyperons and (z, a) in _LIGHT_NUCLEI:
-        return _LIGHT_NUCLEI[z, a]
+    if not hyperons and (z, a) == (1, 1):
+        return _NUCLEON[1]
     n = a - z - hyperons
     sum_of_masses = z * _NUCLEON[1] + n * _NUCLEON[0] + hyperons * KNOWN[3122].mass
     # Coefficients in GeV: J. W. Rohlf, Modern Physics from alpha to Z0 (1994).
     pairing = 0.01118 / math.sqrt(a) * (1 - z % 2 - n % 2)
     binding = 0.01575 * a - 0.0178 * a ** (2 / 3) - 0.000711 * z**2 / a ** (1 / 3) - 0.0237 * (n - z) ** 2 / a + pairing
     return float(sum_of_masses - max(binding, 0.0))
+
+
+def usual_mass(pdg: int) -> float:
+    """Return the mass of a listed particle or a nucleus, GeV/c2; NaN of other numbers.
+
+    Parameters
+    ----------
+    pdg : int
+    """
+    if pdg in KNOWN:
+        return KNOWN[pdg].mass
+    return nuclear_mass(pdg) if is_nucleus(pdg) else math.nan
 
 
 Spectrum = Literal["phase_space", "semileptonic", "michel"]

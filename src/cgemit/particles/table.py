@@ -26,7 +26,7 @@ from cgemit.particles.records import (
     read_hepmc_root,
     taken,
 )
-from cgemit.particles.species import KNOWN, charge_of, is_nucleus, nuclear_mass
+from cgemit.particles.species import KNOWN, charge_of, usual_mass
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.formats import BY_SUFFIX, is_own
 from cgemit.tables.schema import Array
@@ -48,8 +48,8 @@ def particles_from(
 ) -> Table:
     """Make a table of particles from arrays, a data frame, a table, lists per event or a file.
 
-    Warnings count what is not simulated: charged particles at rest, far outside or of charge 2 and more, and what is
-    left out of event records.
+    Warnings count what is not simulated: charged particles at rest or far outside, and what is left out of event
+    records.
 
     Parameters
     ----------
@@ -183,9 +183,8 @@ def not_transported(columns: Any) -> npt.NDArray[np.int8]:
     """
     p = [np.abs(columns[f"p{axis}"]) for axis in "xyz"]
     reach = np.max([np.abs(columns[axis]) for axis in "xyz"], axis=0)
-    status = np.where(np.abs(columns["charge"]) > 1, _core.TransportStatus.multiply_charged, 0)
     out = (reach > FARTHEST) | (np.max(p, axis=0) > FASTEST)
-    status = np.where(out, _core.TransportStatus.out_of_range, status)
+    status = np.where(out, _core.TransportStatus.out_of_range, 0)
     status = np.where(np.max(p, axis=0) == 0, _core.TransportStatus.at_rest, status)
     return np.where(columns["charge"] == 0, 0, status).astype(np.int8)
 
@@ -198,7 +197,6 @@ def _tell_not_transported(particles: Table) -> None:
     what = {
         _core.TransportStatus.at_rest: "at rest",
         _core.TransportStatus.out_of_range: f"born beyond {FARTHEST:g} mm, or above {FASTEST:g} GeV/c",
-        _core.TransportStatus.multiply_charged: "of charge 2 e and more",
     }
     parts = [f"{n} {text}" for one, text in what.items() if (n := int(np.count_nonzero(status == one)))]
     if parts:
@@ -563,16 +561,9 @@ def _charge_and_mass(pdg: Array, charges: Mapping[int, int]) -> tuple[Array, Arr
     whole = [int(number) if np.isfinite(number) else 0 for number in numbers]
     found = [charges.get(number, charge_of(number)) for number in whole]
     charge = np.array([one or 0 for one in found], np.int16)
-    masses = [_mass_of(number) for number in whole]
+    masses = np.nan_to_num([usual_mass(number) for number in whole])
     return (
         charge[place],
-        np.array(masses, np.float64)[place],
+        masses[place],
         np.array([one is not None for one in found], np.bool_)[place],
     )
-
-
-def _mass_of(pdg: int) -> float:
-    """Return the mass of a listed particle or a nucleus, GeV/c2; 0 if it is unknown."""
-    if pdg in KNOWN:
-        return KNOWN[pdg].mass
-    return nuclear_mass(pdg) if is_nucleus(pdg) else 0.0

@@ -193,7 +193,8 @@ def label_candidates(
     kind = HYPOTHESES[hypothesis]
     n = int(np.count_nonzero(first))
     candidates = {
-        "event": event[first], "candidate": number[first], "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass)
+        "event": event[first], "candidate": number[first], "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass),
+        "charge": np.full(n, abs(kind.charge)),
     }  # fmt: skip
     hits = {
         "event": event,

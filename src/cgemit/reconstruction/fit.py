@@ -68,7 +68,8 @@ class FitSettings(SettingsData):
     states : tuple of float or str
         Surfaces of the states table (docs/methods/states.md). Empty: no such table.
     hypothesis : str, tuple of str or None
-        Particles whose masses the fit assumes; every candidate gets a track for each. None: the candidate's own mass.
+        Particles whose masses the fit assumes; every candidate gets a track for each. None: the candidate's own mass
+        and charge.
     max_iterations : int
         Largest number of iterations.
     tolerance : float
@@ -76,8 +77,9 @@ class FitSettings(SettingsData):
     least_width : float
         Least spread, in strip pitches, of the position that a cluster's size allows.
     delta_strips : float
-        Probability that a delta electron adds one strip to a cluster; k strips are k times less probable. Sets the
-        weight of clusters that are longer than the incidence predicts.
+        Probability that a delta electron of a particle of unit charge adds one strip to a cluster; k strips are k times
+        less probable. It grows with the square of the charge, and sets the weight of clusters that are longer than the
+        incidence predicts.
     kinks : bool
         Whether a slow track is linearised about its scattered path.
     outlier_pull : float
@@ -249,19 +251,19 @@ def fit(
     core = compiled_matter(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()
-    candidate, pdg, mass = _with_hypotheses(candidates, names)
+    candidate, pdg, mass, charge = _with_hypotheses(candidates, names)
     begin = _start(start, len(candidates))
     if len(names) > 1:
         hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
     radii = start_radii(candidates, settings)[candidate]
-    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings, radii))
+    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings, radii, charge))
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
         | {"momentum": settings.momentum or USUAL_MOMENTUM}
         | ({} if settings.prior_sigma == FitSettings().prior_sigma else {"prior_sigma": list(settings.prior_sigma)})
     }
-    columns = _track_columns(out, event, candidate, pdg)
+    columns = _track_columns(out, event, candidate, pdg, charge)
     columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)
     tables = {"tracks": Table("tracks", columns, **about)}
     if settings.residuals:
@@ -317,8 +319,9 @@ def compiled_matter(detector: Detector, settings: FitSettings) -> _core.Detector
 
 
 def core_arguments(
-    detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings, radii: Floats | None = None
-) -> dict[str, Any]:
+    detector: Detector, hits: FitHits, mass: Floats, start: Floats, settings: FitSettings, radii: Floats | None = None,
+    charge: npt.ArrayLike = 1,
+) -> dict[str, Any]:  # fmt: skip
     """Return the arguments of the compiled fit.
 
     Parameters
@@ -331,6 +334,7 @@ def core_arguments(
     settings : FitSettings
     radii : ndarray or None, (n,) float64, mm
         Where the tracks begin. None: as in the settings.
+    charge : array_like, (n,) or (), e
 
     Returns
     -------
@@ -342,6 +346,7 @@ def core_arguments(
         "hit_offsets": hits.hit_offsets,
         "hits": hits.columns(),
         "mass": mass,
+        "charge": np.ones(len(mass)) * np.asarray(charge, np.float64),
         "start": start,
         "start_radius": np.full(len(mass), settings.start_radius) if radii is None else radii,
         "settings": {name: getattr(settings, name) for name in CORE_SETTINGS}
@@ -370,20 +375,20 @@ def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
     return np.isin(status, fitted)
 
 
-def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column) -> Columns:
-    """Return the columns of the tracks table; `event`, `candidate` (row) and `pdg` (of the mass) of each track."""
+def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column, charge: Column) -> Columns:
+    """Return the columns of the tracks table; `event`, `candidate` (row), and the `pdg` and `charge` assumed."""
     no_helix = np.isin(out["status"], (_core.FitStatus.too_few_hits, _core.FitStatus.seed_failed))
     fitted = np.where(no_helix[:, None], np.nan, out["helix"])
     known = has_cov(out["status"])
     cov = np.where(known[:, None, None], out["cov"], np.nan)
-    columns: Columns = {"event": event, "candidate": candidate, "hypothesis": pdg}
+    columns: Columns = {"event": event, "candidate": candidate, "hypothesis": pdg, "charge": charge}
     columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}
-    columns |= {"cov": cov, "p": helix.momentum(fitted)}
+    columns |= {"cov": cov, "p": helix.momentum(fitted, charge)}
     columns |= {name: out[name] for name in ("ndf", "n_clusters", "n_wires", "n_outliers", "iterations", "status")}
     columns["chi2"] = np.where(known, out["chi2"], np.nan)
     error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
-    return columns | {"err_p": helix.momentum_error(fitted, cov)}
+    return columns | {"err_p": helix.momentum_error(fitted, cov, charge)}
 
 
 def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
@@ -409,7 +414,7 @@ def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
     }
 
 
-def _with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column]:
+def _with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column, Column, Column, Column]:
     """Return the tracks to fit: each candidate once per mass hypothesis.
 
     Parameters
@@ -425,13 +430,16 @@ def _with_hypotheses(candidates: Table, names: tuple[str, ...]) -> tuple[Column,
     pdg : ndarray, (n,) int
         Number of the Particle Data Group, unsigned.
     mass : ndarray, (n,) float64, GeV/c2
+    charge : ndarray, (n,) int, e
+        Unsigned.
     """
     n = len(candidates)
     if not names:
-        return np.arange(n), candidates["pdg"], candidates["mass"]
+        return np.arange(n), candidates["pdg"], candidates["mass"], candidates["charge"]
     kinds = [HYPOTHESES[name] for name in names]
-    pdg, mass = ([kind.pdg for kind in kinds], [kind.mass for kind in kinds])
-    return np.repeat(np.arange(n), len(kinds)), np.tile(pdg, n), np.tile(mass, n)
+    numbers = ([kind.pdg for kind in kinds], [kind.mass for kind in kinds], [abs(kind.charge) for kind in kinds])
+    pdg, mass, charge = (np.tile(of_kinds, n) for of_kinds in numbers)
+    return np.repeat(np.arange(n), len(kinds)), pdg, mass, charge
 
 
 def _repeated(hits: FitHits, candidate: Column) -> FitHits:

@@ -255,7 +255,7 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     along = np.cumsum(length, axis=1)[row, place]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)
     # Tracks may be unconstrained along z alone.
-    known = ~(helix.momentum_error(parameters, tracks["cov"]) > _core.MOST_ERROR * tracks["p"])
+    known = ~(helix.momentum_error(parameters, tracks["cov"], tracks["charge"]) > _core.MOST_ERROR * tracks["p"])
     p = np.where(known, tracks["p"], tracks.meta.get("momentum", USUAL_MOMENTUM))
     slowness = np.hypot(1.0, _masses(candidates, tracks) / p) / LIGHT
     return np.asarray(along * slowness[track], np.float64)
@@ -570,7 +570,7 @@ def _with_time_error(tracks: Table, slope: Floats, error: Floats) -> Table:
     err = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     fitted = np.column_stack([tracks[name] for name in helix.PARAMETERS])
     columns = {f"err_{name}": err[:, i] for i, name in enumerate(helix.PARAMETERS)}
-    return tracks.with_columns(cov=cov, err_p=helix.momentum_error(fitted, cov), **columns)
+    return tracks.with_columns(cov=cov, err_p=helix.momentum_error(fitted, cov, tracks["charge"]), **columns)
 
 
 def refinements(settings: RefineSettings) -> list[Refinement]:

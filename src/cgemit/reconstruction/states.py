@@ -13,7 +13,7 @@ from cgemit import _core, helix
 from cgemit.base.validate import number
 from cgemit.detector import SCREENINGS, Detector, load, slabs
 from cgemit.fit_matter import tuned
-from cgemit.particles.species import HYPOTHESES
+from cgemit.particles.species import HYPOTHESES, usual_mass
 from cgemit.reconstruction.candidates import FitHits
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
@@ -29,8 +29,6 @@ SurfaceName = Literal["origin", "beam_line", "beam_pipe", "hits"]
 
 #: GeV/c, assumed where neither the curvature nor anything else tells the momentum.
 USUAL_MOMENTUM = 1.0
-
-_MASSES = {kind.pdg: kind.mass for kind in HYPOTHESES.values()}
 
 
 def state_columns(
@@ -84,6 +82,7 @@ def state_columns(
         kinks=fitted["kinks"].reshape(len(fitted["reference"]), 2 * len(slabs(detector))),
         prior=fitted["prior"],
         mass=mass,
+        charge=np.asarray(tracks["charge"], np.float64),
         matter_p=fitted["matter_p"],
         start_radius=radii,
         fitted=settled.astype(np.uint8),
@@ -95,9 +94,10 @@ def state_columns(
         "event": tracks["event"][track],
         "track": track,
         "hypothesis": tracks["hypothesis"][track],
+        "charge": tracks["charge"][track],
         "surface": surface,
     }
-    found |= _hit_columns(hits, out["hit"]) | _at(out)
+    found |= _hit_columns(hits, out["hit"]) | _at(out, tracks["charge"][track])
     found["r"] = np.where(surface == Surface.cylinder, targets["radius"][target], np.hypot(found["x"], found["y"]))
     residual, err = out["residual"], out["err"]
     return found | {"residual": residual, "err": err, "pull": residual / err, "status": out["status"]}
@@ -160,23 +160,26 @@ def extrapolate(
     pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
     parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
+    mass = _masses(table, particle)
+    charge = table["charge"] if particle is None else np.full(n, abs(HYPOTHESES[particle].charge), np.int8)
     in_matter = _core.matter_momenta(
-        kappa=table["kappa"], sigma=np.sqrt(table["cov"][:, 2, 2]), tanl=table["tanl"],
+        kappa=table["kappa"], sigma=np.sqrt(table["cov"][:, 2, 2]), tanl=table["tanl"], charge=charge,
         momentum=momentum or float(table.meta.get("momentum", USUAL_MOMENTUM)), bz=detector.field.bz,
     )  # fmt: skip
     out = _core.extrapolate(
         tuned(detector, screening, loss, bool(radiation)), pivot=pivot, helix=parameters,
-        cov=table["cov"].reshape(-1, 25), mass=_masses(table, particle), matter_p=in_matter, radius=float(radius),
+        cov=table["cov"].reshape(-1, 25), mass=mass, charge=charge, matter_p=in_matter, radius=float(radius),
         share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
     )  # fmt: skip
-    at = _at(out)
+    at = _at(out, charge)
     # Squares of numbers far beyond a detector may be infinite.
     finite = np.all([np.isfinite(one).reshape(n, -1).all(axis=1) for one in at.values()], axis=0)
     out["status"] = np.where((out["status"] == StateStatus.ok) & ~finite, StateStatus.not_fitted, out["status"])
     none, nan = np.full(n, -1), np.full(n, np.nan)
     columns: Columns = {
         "event": table["event"], "track": table["track"] if of_state else np.arange(n),
-        "hypothesis": table["hypothesis"], "surface": np.full(n, Surface.cylinder), "r": np.full(n, float(radius)),
+        "hypothesis": table["hypothesis"], "charge": charge,
+        "surface": np.full(n, Surface.cylinder), "r": np.full(n, float(radius)),
         "view": none, "layer": none, "hit": none, "residual": nan, "err": nan, "pull": nan, "status": out["status"],
     }  # fmt: skip
     return Table("states", columns | at, meta=table.meta, **table.cover)
@@ -197,7 +200,7 @@ def _start_problems(
     if particle not in (None, *HYPOTHESES):
         problems.append(f"particle: got {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
     if particle is None and fits and np.isnan(_masses(table, None)[np.isfinite(table["cov"][:, 0, 0])]).any():
-        problems.append("particle: none given, and the table's hypothesis is none of e, mu, pi, K, p")
+        problems.append("particle: none given, and the mass of the table's hypothesis is not known")
     if loss not in tuple(_core.CoreLoss.__members__):
         problems.append(f"loss: got {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
     if momentum is not None and not 0 < number(momentum) < math.inf:
@@ -212,13 +215,13 @@ def _masses(table: Table, particle: str | None) -> Floats:
     if particle is not None:
         return np.full(len(table), HYPOTHESES[particle].mass)
     numbers, number = np.unique(table["hypothesis"], return_inverse=True)
-    return np.array([_MASSES.get(int(pdg), np.nan) for pdg in numbers])[number]
+    return np.array([usual_mass(int(pdg)) for pdg in numbers], np.float64)[number]
 
 
-def _at(out: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
-    """Columns of point, momentum, pivot, helix and covariance."""
+def _at(out: dict[str, npt.NDArray[Any]], charge: npt.NDArray[Any]) -> dict[str, Any]:
+    """Columns of point, momentum, pivot, helix and covariance; `charge` of each state, e."""
     pivot, (dr, phi0, kappa, dz, tanl) = out["pivot"], out["helix"].T
-    px, py, pz = helix.momentum_vector(out["helix"]).T
+    px, py, pz = helix.momentum_vector(out["helix"], charge).T
     return {
         "x": pivot[:, 0] + dr * np.cos(phi0), "y": pivot[:, 1] + dr * np.sin(phi0), "z": pivot[:, 2] + dz,
         "px": px, "py": py, "pz": pz, "pivot_x": pivot[:, 0], "pivot_y": pivot[:, 1], "pivot_z": pivot[:, 2],

@@ -285,11 +285,12 @@ class VertexStatus(enum.IntEnum):
 class _Pairs(NamedTuple):
     """Helices about the origin of both tracks of each pair: (n, 2, 5), (n, 2, 5, 5); masses (2,) GeV/c2; field, T.
 
-    `reach` is the largest radius and abs(z) of a vertex, mm.
+    `charges` (n, 2), e, are unsigned. `reach` is the largest radius and abs(z) of a vertex, mm.
     """
 
     parameters: Floats
     cov: Floats
+    charges: Floats
     masses: Floats
     bz: float
     reach: tuple[float, float]
@@ -381,7 +382,8 @@ def fit_vertices(
     chamber = load(detector)
     bz = compiled(chamber).field.bz
     masses = np.array([kind.mass for kind in kinds])
-    some = _Pairs(parameters[good], tracks["cov"][rows[good]], masses, bz, extent(chamber))
+    charges = np.asarray(tracks["charge"], np.float64)[rows[good]]
+    some = _Pairs(parameters[good], tracks["cov"][rows[good]], charges, masses, bz, extent(chamber))
     found, status, iterations = _solved(some, beam_spot)
     columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in found.items()}
     for name, value in found.items():
@@ -531,7 +533,7 @@ def _linear(pairs: _Pairs, pivot: Floats) -> _Linear:
 
 
 def _some(pairs: _Pairs, rows: Rows) -> _Pairs:
-    return pairs._replace(parameters=pairs.parameters[rows], cov=pairs.cov[rows])
+    return pairs._replace(parameters=pairs.parameters[rows], cov=pairs.cov[rows], charges=pairs.charges[rows])
 
 
 def _differences(pairs: _Pairs, vertex: Floats, beam_spot: BeamSpot | None) -> Floats:
@@ -572,7 +574,7 @@ def _results(pairs: _Pairs, vertex: Floats, cov: Floats, beam_spot: BeamSpot | N
     chi2 = _chi2(of, vertex, beam_spot)
     # At the vertex: direction and curvature, conditional on the tracks' passing through it.
     azimuth, kappa, tanl = np.moveaxis(of.direction - np.einsum("npia,npa->npi", of.gain, of.measured), -1, 0)
-    pt = 1 / np.abs(kappa)
+    pt = pairs.charges * (1 / np.abs(kappa))
     p = np.stack([pt * np.cos(azimuth), pt * np.sin(azimuth), pt * tanl], axis=-1)
     energy = np.sqrt(np.sum(p * p, axis=-1) + pairs.masses**2)
     total, whole = p.sum(axis=1), energy.sum(axis=1)

@@ -115,13 +115,15 @@ def _helix(pivot: str) -> tuple[Column, ...]:
     )
 
 
-_HYPOTHESIS = whole("hypothesis", "PDG number, unsigned, of the particle whose mass the fit assumed")
+_HYPOTHESIS = whole("hypothesis", "PDG number, unsigned, of the particle whose mass and charge the fit assumed")
+_CHARGE = column_of("i1", "charge", "e", "unsigned charge that the fit assumed; kappa has the sign")
 
 TRACKS = (
     EVENT,
     link("candidate", "the candidate", "candidates"),
     _HYPOTHESIS,
     *_helix("the z axis"),
+    _CHARGE,
     real("p", "GeV/c", "momentum"),
     real("chi2", "", "chi-square of the fit"),
     whole("ndf", "number of degrees of freedom"),
@@ -195,6 +197,7 @@ STATES = (
     *momentum("momentum there"),
     *point("pivot_", "pivot of the helix: the point itself, but for surface 0 the origin"),
     *_helix("the pivot, in the plane across the beam"),
+    _CHARGE,
     real(
         "residual",
         "mm",
@@ -363,8 +366,9 @@ _CLUSTERS = (
 _CANDIDATES = (
     EVENT,
     whole("candidate", "number of the candidate within its event"),
-    whole("pdg", "PDG number, unsigned, of the particle whose mass is assumed"),
+    whole("pdg", "PDG number, unsigned, of the particle that is assumed"),
     real("mass", "GeV/c2", "its mass"),
+    column_of("i1", "charge", "e", "its unsigned charge"),
 )
 
 _CANDIDATE_HITS = (
@@ -430,6 +434,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **dict.fromkeys(("err", "sigma", "mass", "r", "path", "chi2", "purity", "efficiency"), (0.0, np.inf)),
         **dict.fromkeys(("other_chi2", "other_distance"), (0.0, np.inf)),
         "matches.match": (0, 5),
+        **{f"{table}.charge": (1, 127) for table in ("candidates", "tracks", "states")},
         **dict.fromkeys(("truths.energy", "steps.energy", "err_start_time", "err_mass"), (0.0, np.inf)),
         **{f"err_{name}": (0.0, np.inf) for name in (*PARAMETERS, "x", "y", "z", "v", "phi")},
         **dict.fromkeys(("sheet", "size", "secondaries", "daughter", "parent", "mode"), (0, _ENDLESS)),

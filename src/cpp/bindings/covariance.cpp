@@ -3,6 +3,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include "bindings/hits.hpp"
 #include "bindings/interrupt.hpp"
 #include "bindings/rows.hpp"
 #include "bindings/settings.hpp"
@@ -50,12 +51,14 @@ py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detect
 }
 
 py::dict run_covariances(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
-                         const Array<double>& tanl, const Array<double>& mass, const Array<double>& scatters,
+                         const Array<double>& tanl, const Array<double>& mass,
+                         const Array<double>& charge_array, const Array<double>& scatters,
                          std::size_t samples, const Array<double>& phases, const Array<double>& efficiencies,
                          const py::dict& model_values, bool budget, bool hits,
                          const std::vector<const Detector*>& variants, bool scalar) {
   const HitModel model = hit_model(model_values);
   const auto n = phi.size();
+  const std::vector<double> charge = charges(charge_array, n);
   const auto views = static_cast<py::ssize_t>(2 * detector.layers.size());
   if (samples == 0 || n % static_cast<py::ssize_t>(samples) != 0)
     throw std::invalid_argument("samples: expected a divisor of the number of tracks");
@@ -74,6 +77,7 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                               .kappa = column(kappa, "kappa", n),
                               .tanl = column(tanl, "tanl", n),
                               .mass = column(mass, "mass", n),
+                              .charge = charge,
                               .scatters = column(scatters, "scatters", n),
                               .samples = samples,
                               .phases = matrix(phases, "phases", static_cast<py::ssize_t>(samples), views),
@@ -120,10 +124,10 @@ void bind_covariance(py::module_& module) {
              "other in `covariances`.");
   module.def(
       "covariances", &run_covariances, py::arg("detector"), py::kw_only(), py::arg("phi"), py::arg("kappa"),
-      py::arg("tanl"), py::arg("mass"), py::arg("scatters"), py::arg("samples"), py::arg("phases"),
-      py::arg_v("efficiencies", Array<double>(0), "..."), py::arg("model"), py::arg("budget"),
-      py::arg("hits") = false, py::arg("variants") = std::vector<const Detector*>(),
-      py::arg("scalar") = false,
+      py::arg("tanl"), py::arg("mass"), py::arg_v("charge", Array<double>(0), "..."), py::arg("scatters"),
+      py::arg("samples"), py::arg("phases"), py::arg_v("efficiencies", Array<double>(0), "..."),
+      py::arg("model"), py::arg("budget"), py::arg("hits") = false,
+      py::arg("variants") = std::vector<const Detector*>(), py::arg("scalar") = false,
       "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
       "expected hits of all tracks (X, V - k x, or signed distance from a wire, mm; variance, mm2). Rows of "

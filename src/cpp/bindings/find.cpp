@@ -20,6 +20,7 @@ FindSettings find_settings(const py::dict& values) {
   const FindSettings settings{.segments = in["segments"],
                               .chamber = in["chamber"],
                               .mass = in["mass"],
+                              .charge = in["charge"],
                               .efficiency = in["efficiency"],
                               .gate = in["gate"],
                               .branches = in["branches"],
@@ -39,6 +40,7 @@ FindSettings find_settings(const py::dict& values) {
   Problems problems;
   const Part part(problems, "settings");
   part.within("mass", settings.mass, tiny, far);
+  part.within("charge", settings.charge, tiny, far);
   part.within("efficiency", settings.efficiency, 0, 1);
   part.within("gate", settings.gate, tiny, far);
   part.within("max_d", settings.max_d, 0, far);

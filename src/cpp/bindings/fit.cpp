@@ -40,12 +40,14 @@ constexpr std::size_t block_of_tracks = 256;
 
 py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offsets,
                  const py::dict& hit_columns, const Array<double>& mass_array,
-                 const Array<double>& start_array, const Array<double>& start_radius,
-                 const py::dict& setting_values, bool residuals, bool states) {
+                 const Array<double>& charge_array, const Array<double>& start_array,
+                 const Array<double>& start_radius, const py::dict& setting_values, bool residuals,
+                 bool states) {
   const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = offsets.size() - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets[n]);
   const auto mass = column(mass_array, "mass", static_cast<py::ssize_t>(n));
+  const std::vector<double> charge = charges(charge_array, static_cast<py::ssize_t>(n));
   const bool seeded = start_array.ndim() == 2 && start_array.shape(0) > 0;
   if (seeded) matrix(start_array, "start", static_cast<py::ssize_t>(n), 5);
   const FitSettings settings = fit_settings(setting_values);
@@ -103,6 +105,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
           hits,
           side.subspan(first, count),
           mass.subspan(begin, tracks),
+          std::span<const double>(charge).subspan(begin, tracks),
           seeded ? std::span<const Perigee>(start).subspan(begin, tracks) : std::span<const Perigee>(),
           interrupted};
       fit(begins.of(begin), input, settings,
@@ -131,8 +134,9 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
 void bind_fit(py::module_& module) {
   module.attr("MOST_ERROR") = most_error;
   module.def("fit", &run_fit, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
-             py::arg("mass"), py::arg("start"), py::arg_v("start_radius", Array<double>(0), "..."),
-             py::arg("settings"), py::arg("residuals"), py::arg("states") = false,
+             py::arg("mass"), py::arg_v("charge", Array<double>(0), "..."), py::arg("start"),
+             py::arg_v("start_radius", Array<double>(0), "..."), py::arg("settings"), py::arg("residuals"),
+             py::arg("states") = false,
              "Fit one track per row of hit_offsets: columns of the tracks and, if requested, of the "
              "residuals of the hits and of the last iteration, from which states along the tracks are made.");
 }

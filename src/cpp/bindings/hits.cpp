@@ -69,6 +69,16 @@ std::span<const double> start_radii(const Array<double>& array, py::ssize_t n) {
   return radii;
 }
 
+std::vector<double> charges(const Array<double>& array, py::ssize_t n) {
+  if (array.size() == 0) return std::vector<double>(static_cast<std::size_t>(n), 1.0);
+  const auto given = column(array, "charge", n);
+  if (!std::ranges::all_of(given, [](double charge) { return charge != 0 && std::isfinite(charge); }))
+    throw std::invalid_argument("charge: expected finite numbers other than 0");
+  std::vector<double> found;
+  for (const double charge : given) found.push_back(std::abs(charge));
+  return found;
+}
+
 Perigee from_bes3(const double* row) {
   return {row[0], wrap_angle(row[1] + 0.5 * pi), row[2], row[3], row[4]};
 }

@@ -47,6 +47,9 @@ std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array);
 // The radii at which n tracks begin (mm), or none if all begin on the beam line.
 std::span<const double> start_radii(const Array<double>& array, py::ssize_t n);
 
+// Charges of n tracks, e; none: 1 for all.
+std::vector<double> charges(const Array<double>& array, py::ssize_t n);
+
 // A row of (dr, phi0, kappa, dz, tanl).
 Perigee from_bes3(const double* row);
 

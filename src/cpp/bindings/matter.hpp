@@ -11,7 +11,7 @@ inline const Slab& slab_of(const Detector& detector, int index) {
 }
 
 inline Kinematics particle(double p, double mass, double charge) {
-  return Kinematics(p, mass, projectile_of(mass, charge));
+  return Kinematics(p, species_of(mass, charge, charge));
 }
 
 }  // namespace cgemit::bindings

@@ -147,9 +147,9 @@ std::vector<double> momenta_in_matter(const Array<double>& given, py::ssize_t n)
 py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_offsets,
                     const py::dict& hit_columns, const Array<double>& reference_array,
                     const Array<double>& kinks_array, const Array<double>& prior_array,
-                    const Array<double>& mass_array, const Array<double>& matter_p_array,
-                    const Array<double>& start_radius, const Array<std::uint8_t>& fitted_array,
-                    const py::dict& target_columns) {
+                    const Array<double>& mass_array, const Array<double>& charge_array,
+                    const Array<double>& matter_p_array, const Array<double>& start_radius,
+                    const Array<std::uint8_t>& fitted_array, const py::dict& target_columns) {
   const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = static_cast<py::ssize_t>(offsets.size()) - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets.back());
@@ -158,6 +158,7 @@ py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_off
   const auto kinks = matrix(kinks_array, "kinks", n, static_cast<py::ssize_t>(angles));
   const auto prior = matrix(prior_array, "prior", n, 25);
   const auto mass = column(mass_array, "mass", n);
+  const std::vector<double> charge = charges(charge_array, n);
   const std::vector<double> matter_p = momenta_in_matter(matter_p_array, n);
   const auto fitted = column(fitted_array, "fitted", n);
   const StartRadii begins(detector, mass.size(), start_radii(start_radius, n));
@@ -181,6 +182,7 @@ py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_off
                               std::span(kinks).subspan(angles * i, angles),
                               Eigen::Map<const Matrix5>(prior.data() + 25 * i),
                               mass[i],
+                              charge[i],
                               matter_p[i]};
       found.clear();
       if (fitted[i]) fitted_states(begins.of(i), track, targets, space, found);
@@ -198,13 +200,15 @@ LocalState load(const double* pivot, const double* helix, const double* covarian
 
 py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_array,
                          const Array<double>& helix_array, const Array<double>& covariance_array,
-                         const Array<double>& mass_array, const Array<double>& matter_p_array, double radius,
-                         const Array<double>& from_array, double to) {
+                         const Array<double>& mass_array, const Array<double>& charge_array,
+                         const Array<double>& matter_p_array, double radius, const Array<double>& from_array,
+                         double to) {
   const auto mass = column(mass_array, "mass");
   const auto n = static_cast<py::ssize_t>(mass.size());
   const auto pivot = matrix(pivot_array, "pivot", n, 3), helix = matrix(helix_array, "helix", n, 5),
              covariance = matrix(covariance_array, "cov", n, 25);
   const auto from = column(from_array, "share", n);
+  const std::vector<double> charge = charges(charge_array, n);
   const std::vector<double> matter_p = momenta_in_matter(matter_p_array, n);
   if (!(radius > 0 && radius < HUGE_VAL))
     throw std::invalid_argument("radius: expected a finite length above 0");
@@ -216,7 +220,7 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
       found.state = load(pivot.data() + 3 * i, helix.data() + 5 * i, covariance.data() + 25 * i);
       found.state.matter_p = matter_p[i];
       if (found.state.c.allFinite() && std::isfinite(mass[i]) && found.state.helix.kappa != 0)
-        found.status = extrapolate(detector, found.state, mass[i], radius, from[i], to);
+        found.status = extrapolate(detector, found.state, mass[i], charge[i], radius, from[i], to);
       out.add(found, static_cast<std::int64_t>(i), 0, -1);
     }
   }
@@ -225,16 +229,18 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
 }
 
 py::array_t<double> matter_momenta(const Array<double>& kappa_array, const Array<double>& sigma_array,
-                                   const Array<double>& tanl_array, double momentum, double bz) {
+                                   const Array<double>& tanl_array, const Array<double>& charge_array,
+                                   double momentum, double bz) {
   const auto kappa = column(kappa_array, "kappa");
   const auto n = static_cast<py::ssize_t>(kappa.size());
   const auto sigma = column(sigma_array, "sigma", n), tanl = column(tanl_array, "tanl", n);
+  const std::vector<double> charge = charges(charge_array, n);
   if (!(momentum > 0 && momentum < HUGE_VAL))
     throw std::invalid_argument("momentum: expected a finite number above 0");
   std::vector<double> found;
   for (std::size_t i = 0; i < kappa.size(); ++i) {
-    const double sec_lambda = std::sqrt(1 + tanl[i] * tanl[i]);
-    const auto matter = MatterMomentum<double>::of_fit(kappa[i], sigma[i], sec_lambda, momentum, bz);
+    const double charge_sec = charge[i] * std::sqrt(1 + tanl[i] * tanl[i]);
+    const auto matter = MatterMomentum<double>::of_fit(kappa[i], sigma[i], charge_sec, momentum, bz);
     found.push_back(matter.given && std::isfinite(matter.p) ? matter.p : 0);
   }
   return to_numpy(std::move(found));
@@ -271,16 +277,16 @@ void bind_states(py::module_& module) {
       .finalize();
   module.def("states", &run_states, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"),
              py::arg("hits"), py::arg("reference"), py::arg("kinks"), py::arg("prior"), py::arg("mass"),
-             py::arg_v("matter_p", Array<double>(0), "..."),
+             py::arg_v("charge", Array<double>(0), "..."), py::arg_v("matter_p", Array<double>(0), "..."),
              py::arg_v("start_radius", Array<double>(0), "..."), py::arg("fitted"), py::arg("targets"),
              "Smoothed states of fitted tracks at every target.");
   module.def("extrapolate", &run_extrapolate, py::arg("detector"), py::kw_only(), py::arg("pivot"),
-             py::arg("helix"), py::arg("cov"), py::arg("mass"),
+             py::arg("helix"), py::arg("cov"), py::arg("mass"), py::arg_v("charge", Array<double>(0), "..."),
              py::arg_v("matter_p", Array<double>(0), "..."), py::arg("radius"), py::arg("share"),
              py::arg("target_share"), "Move states to a cylinder through the matter on the trajectory.");
   module.def(
       "matter_momenta", &matter_momenta, py::kw_only(), py::arg("kappa"), py::arg("sigma"), py::arg("tanl"),
-      py::arg("momentum"), py::arg("bz"),
+      py::arg_v("charge", Array<double>(0), "..."), py::arg("momentum"), py::arg("bz"),
       "Momenta, GeV/c, with which tracks scatter and lose energy whose fitted kappa has an error `sigma` "
       "in a field of bz: 0 where kappa measures it, else the given one, or a larger one if kappa "
       "excludes it.");

@@ -18,7 +18,6 @@ void bind_status(py::module_& module) {
       .value("decayed", TransportStatus::decayed)
       .value("at_rest", TransportStatus::at_rest)
       .value("out_of_range", TransportStatus::out_of_range)
-      .value("multiply_charged", TransportStatus::multiply_charged)
       .finalize();
   py::native_enum<FitStatus>(module, "FitStatus", "enum.IntEnum", "How the fit of a track ended.")
       .value("ok", FitStatus::ok)

@@ -150,7 +150,7 @@ py::dict ionize_gap(const Detector& detector, int layer, double p, double mass, 
                     std::uint64_t seed, bool deltas, bool keep_clusters, double tanl, double slope) {
   const GapMatter& matter = gap_of(detector, layer);
   const GapCrossing crossing = straight_crossing(detector, layer, tanl, slope);
-  const Kinematics k(p, mass, projectile_of(mass, charge));
+  const Kinematics k = particle(p, mass, charge);
   std::vector<GapResult> results;
   std::vector<Deposit> deposits;
   std::vector<std::int64_t> owners;
@@ -399,14 +399,13 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
   if (std::isfinite(start.kappa) && start.kappa != 0) {
     GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&sides, 1), group);
     set_kinks(group, kinks);
-    const Projectile projectile = projectile_of(mass, start.kappa);
+    const Species species = species_of(mass, 1, start.kappa);
     if (detector.field.is_uniform()) {
-      Tracer<double>(detector, start, mass, projectile, group).run(true);
+      Tracer<double>(detector, start, species, group).run(true);
     } else if (spans) {
-      Tracer<double, FieldReference<double>>(detector, start, mass, projectile, group).run(true);
+      Tracer<double, FieldReference<double>>(detector, start, species, group).run(true);
     } else {
-      Tracer<double, FieldReference<double>, StandsAtWires>(detector, start, mass, projectile, group)
-          .run(true);
+      Tracer<double, FieldReference<double>, StandsAtWires>(detector, start, species, group).run(true);
     }
   }
   std::vector<Vector5> rows;
@@ -455,7 +454,7 @@ py::array_t<double> seeds(const Detector& detector, const Array<std::int64_t>& h
     const auto first = static_cast<std::size_t>(offsets[i]),
                count = static_cast<std::size_t>(offsets[i + 1]) - first;
     columns.take(first, count, hits);
-    const auto seed = seed_helix(detector, hits, side.subspan(first, count), from, mass[i], 1.0);
+    const auto seed = seed_helix(detector, hits, side.subspan(first, count), from, mass[i], 1.0, 1.0);
     constexpr double none = std::numeric_limits<double>::quiet_NaN();
     const Perigee h = seed ? seed->helix : Perigee{none, none, none, none, none};
     for (const double value : {h.d, seed ? wrap_angle(h.psi - 0.5 * pi) : none, h.kappa, h.z0, h.tanl})

@@ -15,9 +15,8 @@ enum class TransportStatus : std::int8_t {
   left_field = 5,  // reached the edge of the field map
   decayed = 6,     // decayed in flight
   // Not transported:
-  at_rest = 7,          // no momentum
-  out_of_range = 8,     // starts beyond 1 km, or above 1e6 GeV/c
-  multiply_charged = 9  // charge of 2 e and more
+  at_rest = 7,      // no momentum
+  out_of_range = 8  // starts beyond 1 km, or above 1e6 GeV/c
 };
 
 // How the fit of a track ended.

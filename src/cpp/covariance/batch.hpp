@@ -55,7 +55,8 @@ class CovarianceBatch {
     if (!detector_.field.is_uniform() || input_.samples < std::max<std::size_t>(width, 2)) return false;
     for (std::size_t i = first; i < first + input_.samples; ++i)
       if (input_.kappa[i] != input_.kappa[first] || input_.tanl[i] != input_.tanl[first] ||
-          input_.mass[i] != input_.mass[first] || input_.scatters[i] != 0)
+          input_.mass[i] != input_.mass[first] || input_.charge[i] != input_.charge[first] ||
+          input_.scatters[i] != 0)
         return false;
     return true;
   }
@@ -70,19 +71,19 @@ class CovarianceBatch {
   // Computes all tracks of a point from one that is recorded for each detector; false if they do not go
   // straight on in all of them.
   bool run_point(std::size_t first) {
-    const double mass = input_.mass[first];
+    const Species species = species_of(input_.mass[first], input_.charge[first], input_.kappa[first]);
     const Perigee start{0, 0, input_.kappa[first], 0, input_.tanl[first]};
     std::vector<RecordedTrack> recorded;
     recorded.reserve(1 + input_.variants.size());
     for (std::size_t v = 0; v <= input_.variants.size(); ++v) {
-      recorded.emplace_back(detector_of(v), empty_group<double>(detector_of(v)), start, mass);
+      recorded.emplace_back(detector_of(v), empty_group<double>(detector_of(v)), start, species);
       if (!recorded.back().straight_on()) return false;
     }
     const std::size_t end = first + input_.samples;
     std::vector<std::vector<KeptHit<T>>> kept((input_.samples + width - 1) / width);
     for (std::size_t v = 0; v < recorded.size(); ++v) {
       recorded[v].give(group_);
-      UniformTracer tracer(detector_of(v), perigee(first, 1), T(mass), kind(first), group_, Expectation<T>());
+      UniformTracer tracer(detector_of(v), perigee(first, 1), species_at(first, 1), group_, Expectation<T>());
       for (std::size_t i = first; i < end; i += width) {
         const std::size_t n = std::min(width, end - i);
         ExpectedHits<T> hits(detector_of(v), model_, input_, i, group_, kept[(i - first) / width], v > 0);
@@ -126,6 +127,10 @@ class CovarianceBatch {
             column(input_.tanl, first, n)};
   }
 
+  SpeciesOf<T> species_at(std::size_t first, std::size_t n) const {
+    return {column(input_.mass, first, n), column(input_.charge, first, n), kind(first)};
+  }
+
   // Filters n tracks whose hits are known, and writes their rows.
   void finish(const Detector& detector, std::size_t variant, std::size_t first, std::size_t n) {
     CovarianceRow* rows = &out_.rows[variant * input_.tracks() + first];
@@ -151,12 +156,12 @@ class CovarianceBatch {
 
   void trace(const Detector& detector, std::size_t first, std::size_t n, Expectation<T> hits) {
     const PerigeeOf<T> start = perigee(first, n);
-    const T mass = column(input_.mass, first, n);
+    const SpeciesOf<T> species = species_at(first, n);
     const mask_of<T> all(true);
     if (detector.field.is_uniform()) {
-      UniformTracer(detector, start, mass, kind(first), group_, hits).run(all);
+      UniformTracer(detector, start, species, group_, hits).run(all);
     } else {
-      Tracer<T, FieldReference<T>, Expectation<T>>(detector, start, mass, kind(first), group_, hits).run(all);
+      Tracer<T, FieldReference<T>, Expectation<T>>(detector, start, species, group_, hits).run(all);
     }
   }
 

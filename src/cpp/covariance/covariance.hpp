@@ -28,15 +28,15 @@ struct HitModel {
   std::array<double, 5> prior_sigma;
 };
 
-// Tracks from the origin. `samples` tracks in a row belong to one point; they share its entry of the budget.
-// `phases`: for each of the samples a number from 0 to 1 for X and V of every CGEM layer, which determines
-// where the strips lie under the path. `scatters`: 1 for tracks whose trajectory scatters, by angles that
-// belong to the sample; 0 for tracks on the expected trajectory. `efficiencies`: for each track and CGEM
-// layer the probability that its crossing has clusters; empty: they all have. `variants`: detectors for which
-// the same tracks are computed again with the hits of the first detector (the same strips and cells), for
-// differences.
+// Tracks from the origin. `charge`: unsigned, e. `samples` tracks in a row belong to one point; they share
+// its entry of the budget. `phases`: for each of the samples a number from 0 to 1 for X and V of every CGEM
+// layer, which determines where the strips lie under the path. `scatters`: 1 for tracks whose trajectory
+// scatters, by angles that belong to the sample; 0 for tracks on the expected trajectory. `efficiencies`: for
+// each track and CGEM layer the probability that its crossing has clusters; empty: they all have. `variants`:
+// detectors for which the same tracks are computed again with the hits of the first detector (the same strips
+// and cells), for differences.
 struct CovarianceInput {
-  std::span<const double> psi, kappa, tanl, mass, scatters;
+  std::span<const double> psi, kappa, tanl, mass, charge, scatters;
   std::size_t samples;
   std::span<const double> phases, efficiencies;
   std::span<const Detector* const> variants;

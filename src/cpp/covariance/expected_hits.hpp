@@ -45,6 +45,8 @@ class ExpectedHits {
         kept_(kept),
         streams_(streams()),
         given_(model, gathered<T>([&](int i) { return input.tanl[track(i)]; })),
+        delta_strips_(gathered<T>(
+            [&](int i) { return model.delta_strips * input.charge[track(i)] * input.charge[track(i)]; })),
         again_(again),
         keeps_(!again && !input.variants.empty()),
         steps_(detector),
@@ -278,7 +280,7 @@ class ExpectedHits {
     return given_.variance(slot.view, index) + inclined_variance(detector_.layers[index], slot.extent);
   }
   T error_of_size(const Slot<T>& slot, const T& size) const {
-    return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, model_.delta_strips);
+    return cluster_variance(size, slot.extent, pitch(slot), model_.least_width, delta_strips_);
   }
   double pitch(const Slot<T>& slot) const {
     const MeasuringLayer& layer = detector_.layers[static_cast<std::size_t>(slot.layer)];
@@ -304,6 +306,7 @@ class ExpectedHits {
   std::vector<KeptHit<T>>& kept_;  // one per slot
   StreamOf<T> streams_;            // of the sample of each lane
   GivenErrors<T> given_;
+  T delta_strips_;
   bool again_, keeps_;  // whether the kept hits are used, or made
   UniformMotionOf<T>
       steps_;  // to the next layer of wires; short, so that the field is as at the last surface

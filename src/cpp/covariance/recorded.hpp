@@ -23,14 +23,14 @@ struct RecordedStep {
 class RecordedTrack {
  public:
   // `group`: has the steps of the detector.
-  RecordedTrack(const Detector& detector, const Group<double>& group, const Perigee& start, double mass)
+  RecordedTrack(const Detector& detector, const Group<double>& group, const Perigee& start,
+                const Species& species)
       : detector_(&detector), group_(group), straight_on_(true) {
     const HelixMotion<double> begin(detector, start);
     steps_.assign(group_.steps.size(), {false, begin, 0, {}});
     group_.ahead.assign(group_.noise.size(), true);
     group_.kinked = false;
-    Tracer<double, HelixMotion<double>, Recorder>(detector, start, mass, projectile_of(mass, start.kappa),
-                                                  group_, Recorder(*this))
+    Tracer<double, HelixMotion<double>, Recorder>(detector, start, species, group_, Recorder(*this))
         .run(true);
   }
 

@@ -35,7 +35,7 @@ T anywhere(T size, T extent, double pitch) {
 }
 
 template <class T>
-T delta_adds(T strips, double delta_strips) {
+T delta_adds(T strips, const T& delta_strips) {
   return select(strips > 0.0, delta_strips / larger(strips, 1.0), select(strips == 0.0, T(1.0), T(0.0)));
 }
 
@@ -48,9 +48,10 @@ T position_variance(T added, T interval, double least_width) {
 }
 
 // Variance, mm^2, of the position of a cluster of `size` strips for a path of this extent, mm.
-// `least_width`: smallest interval, in pitches.
+// `least_width`: smallest interval, in pitches. `delta_strips` grows with the square of the particle's
+// charge.
 template <class T>
-T cluster_variance(T size, T extent, double pitch, double least_width, double delta_strips) {
+T cluster_variance(T size, T extent, double pitch, double least_width, const T& delta_strips) {
   const auto [whole, part] = touched(extent, pitch);
   const T added = size - 1.0 - whole;
   const T fewer = (1.0 - part) * delta_adds(added, delta_strips),

@@ -143,8 +143,8 @@ bool cross(LocalState& state, const Slab& slab, double part, const PropagationCo
   const HelixPoint point = point_of(state, 0);
   const double path = part * path_factor(slab, dip.sec, std::abs(point.outward()));
   const bool given = state.matter_p > 0;
-  const double momentum = given ? state.matter_p : dip.sec / std::abs(h.kappa);
-  const Kinematics here(momentum, context.mass, projectile_of(context.mass, h.kappa));
+  const double momentum = given ? state.matter_p : context.charge * dip.sec / std::abs(h.kappa);
+  const Kinematics here(momentum, species_of(context.mass, context.charge, h.kappa));
   const LossMoments loss = core_loss(slab, path, here, context.matter);
   if (outward && stops(here, loss)) return false;
   const SlabCrossing<double> crossing = outward ? cross_outward(slab, path, here, loss, context.matter)
@@ -155,7 +155,7 @@ bool cross(LocalState& state, const Slab& slab, double part, const PropagationCo
   if (given) {  // as in the reference trajectory
     by.gain = by.ratio;
     by.mixed = 0;
-    kappa_in_matter = std::copysign(dip.sec * crossing.before.per_p, kappa);
+    kappa_in_matter = std::copysign(context.charge * dip.sec * crossing.before.per_p, kappa);
     state.matter_p = outward ? crossing.after.p : crossing.before.p;
   }
   Matrix5 j = Matrix5::Identity();

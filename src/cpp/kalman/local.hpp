@@ -56,9 +56,9 @@ class LocalMotion {
   double per_kappa_;  // curvature for kappa = 1 in a uniform field
 };
 
-// The context of a propagation: the particle's mass, the field and the matter.
+// The context of a propagation: the particle's mass and unsigned charge, the field and the matter.
 struct PropagationContext {
-  double mass;
+  double mass, charge;
   TrackMatter matter;
   LocalMotion motion;
 };

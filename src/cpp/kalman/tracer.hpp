@@ -43,17 +43,18 @@ struct MatterMomentum {
   // these is that of the momentum: of 10 in a weak field; of 2 in others, where tracks whose momentum is
   // known worse are stubs of slow particles, not of the given momentum. Otherwise the momentum is the given
   // one, or a larger one if the curvature excludes that one: scattering must not follow a curvature that is
-  // due to the residuals.
-  static MatterMomentum of_fit(const T& kappa, const T& sigma, const T& sec_lambda, double momentum,
+  // due to the residuals. `charge_sec`: unsigned charge times sec(lambda), the momentum of a track with
+  // kappa 1.
+  static MatterMomentum of_fit(const T& kappa, const T& sigma, const T& charge_sec, double momentum,
                                double bz) {
     constexpr double allowed = 3;
     const double measured = std::abs(bz) < weak_field ? 10 : 2;
     const T own = abs(kappa);
-    return {!(own > measured * sigma), sec_lambda / smaller(sec_lambda / momentum, own + allowed * sigma)};
+    return {!(own > measured * sigma), charge_sec / smaller(charge_sec / momentum, own + allowed * sigma)};
   }
 
-  T of(const T& kappa, const T& sec_lambda) const {
-    const T own = sec_lambda / abs(kappa);
+  T of(const T& kappa, const T& charge_sec) const {
+    const T own = charge_sec / abs(kappa);
     return any(given) ? select(given, p, own) : own;
   }
 };
@@ -62,14 +63,15 @@ struct MatterMomentum {
 template <class T, class Motion = HelixMotion<T>, class Observer = NoObserver>
 class Tracer {
  public:
-  Tracer(const Detector& detector, const PerigeeOf<T>& start, T mass, Projectile projectile, Group<T>& group,
+  Tracer(const Detector& detector, const PerigeeOf<T>& start, const SpeciesOf<T>& species, Group<T>& group,
          Observer observer = {}, const MatterMomentum<T>& matter = {})
       : detector_(detector),
         group_(group),
         motion_(detector, start),
         dip_(start.tanl),
         given_(matter.given),
-        now_(matter.of(start.kappa, dip_.sec), mass, projectile),
+        charge_(species.charge),
+        now_(matter.of(start.kappa, charge_ * dip_.sec), species),
         track_(total_matter(detector, start.tanl)),
         observer_(observer) {
     set_cut(track_, now_);
@@ -361,7 +363,7 @@ class Tracer {
   // The kappa of the momentum that matter acts on.
   T kappa_in_matter() const {
     const T kappa = motion_.kappa();
-    return any(given_) ? select(given_, copysign(dip_.sec * now_.per_p, kappa), kappa) : kappa;
+    return any(given_) ? select(given_, copysign(charge_ * dip_.sec * now_.per_p, kappa), kappa) : kappa;
   }
 
   void lose(const SlabCrossing<T>& crossing, mask_of<T> crosses) {
@@ -385,6 +387,7 @@ class Tracer {
   Motion motion_;
   Dip<T> dip_;
   mask_of<T> given_;
+  T charge_;  // e, unsigned
   KinematicsOf<T> now_;
   TrackMatterOf<T> track_;
   T reached_{0.0};                           // hits

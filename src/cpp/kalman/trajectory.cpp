@@ -69,7 +69,7 @@ class Recorder {
 
 }  // namespace
 
-void follow(const Detector& detector, const Perigee& start, double mass, double matter_p,
+void follow(const Detector& detector, const Perigee& start, const Species& species, double matter_p,
             std::span<const Hit> hits, std::span<const double> kinks, ReferenceTrajectory& trajectory) {
   trajectory.terms.clear();
   trajectory.stations.clear();
@@ -81,8 +81,8 @@ void follow(const Detector& detector, const Perigee& start, double mass, double 
   GroupBuilder<double>(detector).build(std::span(&hits, 1), std::span(&sides, 1), group);
   set_kinks(group, kinks);
   const auto run = [&]<class Motion>(std::type_identity<Motion>) {
-    Tracer<double, Motion, Recorder>(detector, start, mass, projectile_of(mass, start.kappa), group,
-                                     Recorder(detector, trajectory), {matter_p > 0, matter_p})
+    Tracer<double, Motion, Recorder>(detector, start, species, group, Recorder(detector, trajectory),
+                                     {matter_p > 0, matter_p})
         .run(true);
   };
   if (detector.field.is_uniform()) {

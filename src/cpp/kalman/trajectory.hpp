@@ -45,7 +45,7 @@ struct ReferenceTrajectory {
 
 // Follows a helix through the matter up to the last hit. `kinks`: angles for every slab, or none. `matter_p`:
 // momentum in matter at the origin, GeV/c; 0: that of the helix.
-void follow(const Detector& detector, const Perigee& start, double mass, double matter_p,
+void follow(const Detector& detector, const Perigee& start, const Species& species, double matter_p,
             std::span<const Hit> hits, std::span<const double> kinks, ReferenceTrajectory& trajectory);
 
 }  // namespace cgemit

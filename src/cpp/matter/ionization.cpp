@@ -13,9 +13,10 @@ namespace cgemit {
 namespace {
 
 // Blocks of random numbers. Gas: block 0 for counts, then sizes (four per block), then one block for each
-// cluster and one for each fast electron. Solids: block 0 for the count, then two for each electron.
+// cluster and one for each fast electron; clusters beyond `most_clusters`, of slow or multiply charged
+// particles, are drawn at further places. Solids: block 0 for the count, then two for each electron.
 constexpr std::uint32_t cluster_blocks = 512, fast_blocks = 3072, spin_blocks = 2048;
-constexpr int most_clusters = 2044, most_fast = 1023, most_solid = 2047;
+constexpr int most_clusters = 2044, most_places = 1024, most_fast = 1023, most_solid = 2047;
 constexpr double steepest =
     0.05;  // cosine to the radius above which the plane approximation of the layer fails
 
@@ -58,19 +59,11 @@ class GapIonization {
   // Clusters within the size table, and the electrons above it.
   void gas(double density, bool deltas, bool keep_clusters) {
     const Block counts = stream_.block(Purpose::ionization, place_);
-    const int n = std::min(poisson(open_unit(counts[0]), density * crossing_.length), most_clusters);
-    BlocksAhead words(stream_, Purpose::ionization, place_, 1);
-    for (std::uint32_t number = 0; number < static_cast<std::uint32_t>(n); ++number) {
-      const std::uint32_t drawn = words[number];
-      constexpr std::size_t few = 8;  // no branch predicts which of the small sizes it is
-      std::size_t size = 0;
-      for (std::size_t i = 0; i < few; ++i) size += drawn >= matter_.sizes[i];
-      while (size >= few && size + 1 < matter_.sizes.size() && drawn >= matter_.sizes[size]) ++size;
-      if (size >= largest_cluster) {
-        large_cluster(number, size - largest_cluster, deltas, keep_clusters);
-      } else {
-        leave(number, static_cast<int>(size) + 1, keep_clusters);
-      }
+    const int n =
+        std::min(poisson(open_unit(counts[0]), density * crossing_.length), most_places * most_clusters);
+    for (int first = 0; first < n; first += most_clusters) {
+      place_of_clusters_ = place_ | static_cast<std::uint32_t>(first / most_clusters) << 16;
+      draw_clusters(std::min(n - first, most_clusters), deltas, keep_clusters);
     }
     if (deltas) fast_electrons(open_unit(counts[1]));
   }
@@ -81,8 +74,8 @@ class GapIonization {
     const auto& slices = matter_.slices;
     if (slices.empty()) return;
     const double total = slices.back().rate;
-    const double expected =
-        total * collisions_.peak * collisions_.particle.per_beta2 * crossing_.length / matter_.width();
+    const double expected = total * collisions_.peak * collisions_.particle.charge2_per_beta2 *
+                            crossing_.length / matter_.width();
     const int n = std::min(poisson(open_unit(count[0]), expected), most_solid);
     for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(n); ++i) {
       const Block words = stream_.block(Purpose::deltas, place_, 1 + i);
@@ -132,8 +125,25 @@ class GapIonization {
     return start(edge, edge.x + arc * edge.ux, edge.y + arc * edge.uy, edge.z + arc * edge.tanl, w);
   }
 
+  // The next n clusters, at one place.
+  void draw_clusters(int n, bool deltas, bool keep_clusters) {
+    BlocksAhead words(stream_, Purpose::ionization, place_of_clusters_, 1);
+    for (std::uint32_t number = 0; number < static_cast<std::uint32_t>(n); ++number) {
+      const std::uint32_t drawn = words[number];
+      constexpr std::size_t few = 8;  // no branch predicts which of the small sizes it is
+      std::size_t size = 0;
+      for (std::size_t i = 0; i < few; ++i) size += drawn >= matter_.sizes[i];
+      while (size >= few && size + 1 < matter_.sizes.size() && drawn >= matter_.sizes[size]) ++size;
+      if (size >= largest_cluster) {
+        large_cluster(number, size - largest_cluster, deltas, keep_clusters);
+      } else {
+        leave(number, static_cast<int>(size) + 1, keep_clusters);
+      }
+    }
+  }
+
   void large_cluster(std::uint32_t number, std::size_t range, bool deltas, bool keep) {
-    const Block words = stream_.block(Purpose::ionization, place_, cluster_blocks + number);
+    const Block words = stream_.block(Purpose::ionization, place_of_clusters_, cluster_blocks + number);
     const double most = collisions_.largest / matter_.w_value;
     const double low = std::min(matter_.tail[range], most), high = std::min(matter_.tail[range + 1], most);
     const int size =
@@ -145,7 +155,8 @@ class GapIonization {
   void leave(std::uint32_t number, int size, bool keep) {
     clusters_ += size;
     if (!keep) return;
-    const double part = open_unit(stream_.block(Purpose::ionization, place_, cluster_blocks + number)[1]);
+    const double part =
+        open_unit(stream_.block(Purpose::ionization, place_of_clusters_, cluster_blocks + number)[1]);
     const HelixPoint &a = crossing_.entry, &b = crossing_.exit;
     out_.push_back({a.x + part * (b.x - a.x), a.y + part * (b.y - a.y), a.z + part * (b.z - a.z), 0, 0, 0,
                     size * matter_.w_value, size, 0, DeltaOrigin::gas});
@@ -153,7 +164,7 @@ class GapIonization {
 
   void fast_electrons(double uniform) {
     const double least = matter_.tail.back() * matter_.w_value;
-    const double rate = matter_.xi * crossing_.length * collisions_.particle.per_beta2 / least;
+    const double rate = matter_.xi * crossing_.length * collisions_.particle.charge2_per_beta2 / least;
     const int n = std::min(poisson(uniform, rate * collisions_.peak), most_fast);
     for (std::uint32_t i = 0; i < static_cast<std::uint32_t>(n); ++i) {
       const Block words = stream_.block(Purpose::ionization, place_, fast_blocks + i);
@@ -177,7 +188,7 @@ class GapIonization {
   const GapCrossing& crossing_;
   Collisions collisions_;
   const Stream& stream_;
-  std::uint32_t place_, followed_ = 0;
+  std::uint32_t place_, place_of_clusters_ = 0, followed_ = 0;
   DeltaBatch& electrons_;
   std::vector<Deposit>& out_;
   int clusters_ = 0;  // electrons set free
@@ -205,7 +216,7 @@ Deposit deposit_of(const Piece& piece, double inner, const DeltaBatch::Birth& bi
           birth.origin};
 }
 
-// Ionizations per mm.
+// Ionizations per mm by a particle of unit charge.
 double cluster_density(const GapMatter& matter, double log_bg) {
   const GridPlace at(log_bg);
   return matter.clusters[at.i] +
@@ -219,7 +230,7 @@ Ionized set_free(const GapMatter& matter, const GapCrossing& crossing, const Kin
                  DeltaBatch& electrons, std::vector<Deposit>& out) {
   const std::size_t first = electrons.electrons.size();
   GapIonization ionization(matter, crossing, k, stream, place, electrons, out);
-  ionization.gas(cluster_density(matter, k.log_bg), deltas, keep_clusters);
+  ionization.gas(cluster_density(matter, k.log_bg) * k.charge2, deltas, keep_clusters);
   if (deltas) ionization.solids();
   return {ionization.clusters(), first, electrons.electrons.size()};
 }

@@ -27,22 +27,41 @@ T log_ratio(const T& a, const T& b, const T& per_b) {
       [&] { return log(a / b); });
 }
 
-// Momenta in GeV/c, energies in GeV.
+// What matter and field tell apart of a particle.
+template <class T>
+struct SpeciesOf {
+  T mass;    // GeV
+  T charge;  // e, unsigned
+  Projectile projectile;
+};
+using Species = SpeciesOf<double>;
+
+// `sign`: any number with the sign of the charge.
+inline Species species_of(double mass, double charge, double sign) {
+  return {mass, std::abs(charge), projectile_of(mass, sign)};
+}
+
+// Momenta in GeV/c, energies in GeV. A particle of charge z scatters, loses energy and ionizes like one of
+// unit charge whose 1/beta^2 is z^2/beta^2: in the Born approximation, and as long as no electrons are bound
+// to it.
 template <class T>
 struct KinematicsOf {
   T p, energy, mass;
-  T per_p, per_energy, per_mass, per_beta, per_beta2, beta2, gamma;
+  T charge2;  // e^2, square of the charge
+  T per_p, per_energy, per_mass, per_beta, beta2, gamma;
+  T charge2_per_beta2;
   T log_bg;    // ln(beta gamma)
   T has_spin;  // 1 for spin 1/2, else 0; it affects the collision spectrum of heavy particles
   Projectile projectile;
 
-  KinematicsOf(T momentum, T mass_, Projectile projectile_)
+  KinematicsOf(const T& momentum, const SpeciesOf<T>& of)
       : p(momentum),
-        energy(sqrt(momentum * momentum + mass_ * mass_)),
-        mass(mass_),
-        per_mass(1.0 / mass_),
-        has_spin(projectile_ == Projectile::spin_half ? 1.0 : 0.0),
-        projectile(projectile_) {
+        energy(sqrt(momentum * momentum + of.mass * of.mass)),
+        mass(of.mass),
+        charge2(of.charge * of.charge),
+        per_mass(1.0 / of.mass),
+        has_spin(of.projectile == Projectile::spin_half ? 1.0 : 0.0),
+        projectile(of.projectile) {
     follow();
     log_bg = log(p * per_mass);
   }
@@ -55,17 +74,24 @@ struct KinematicsOf {
     k.log_bg += log_ratio(k.p, p, per_p);
     return k;
   }
-  // Takes a in the lanes of `m` and b in the others.
+  // Takes a in the lanes of `m` and b in the others, states of the same particles.
   friend KinematicsOf select(mask_of<T> m, KinematicsOf a, const KinematicsOf& b) {
-    for (T KinematicsOf::* x : {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p,
-                                &KinematicsOf::per_energy, &KinematicsOf::per_beta, &KinematicsOf::per_beta2,
-                                &KinematicsOf::beta2, &KinematicsOf::gamma, &KinematicsOf::log_bg})
+    for (T KinematicsOf::* x :
+         {&KinematicsOf::p, &KinematicsOf::energy, &KinematicsOf::per_p, &KinematicsOf::per_energy,
+          &KinematicsOf::per_beta, &KinematicsOf::beta2, &KinematicsOf::gamma,
+          &KinematicsOf::charge2_per_beta2, &KinematicsOf::log_bg})
       a.*x = select(m, a.*x, b.*x);
     return a;
   }
   bool is_light() const { return projectile >= Projectile::electron; }
   T beta() const { return p * per_energy; }
   T kinetic() const { return energy - mass; }
+  // ln(beta gamma) of a particle of unit charge with the same z^2/beta^2. Screening depends on this alone.
+  T log_bg_of_unit_charge() const {
+    const mask_of<T> multiply = charge2 != 1.0;
+    return any(multiply) ? select(multiply, -0.5 * log(larger(charge2_per_beta2 - 1.0, 1e-11)), log_bg)
+                         : log_bg;
+  }
   // Largest energy transfer of one collision to an electron at rest; PDG 2024 eq. 34.4. Of two electrons the
   // slower one counts as struck; a positron can lose all its energy.
   T w_max() const {
@@ -81,7 +107,7 @@ struct KinematicsOf {
     per_p = energy * per_both;
     per_energy = p * per_both;
     per_beta = energy * per_p;
-    per_beta2 = per_beta * per_beta;
+    charge2_per_beta2 = per_beta * per_beta * charge2;
     beta2 = beta() * beta();
     gamma = energy * per_mass;
   }

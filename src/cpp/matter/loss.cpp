@@ -59,11 +59,11 @@ double light_spectrum_share(const Kinematics& k, double transfer) {
 
 double light_restricted_loss(const Slab& slab, double path, const Kinematics& k, double cut) {
   const double bracket = light_bracket(slab, k, std::min(cut, k.w_max()));
-  return std::max(slab.xi * path * k.per_beta2 * bracket, 0.0);
+  return std::max(slab.xi * path * k.charge2_per_beta2 * bracket, 0.0);
 }
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
-  const double xi = slab.xi * path * k.per_beta2, track_xi = track.xi * k.per_beta2;
+  const double xi = slab.xi * path * k.charge2_per_beta2, track_xi = track.xi * k.charge2_per_beta2;
   const double resolved = track.loss.share * k.p / k.per_beta, below = track.loss.mean * track_xi;
   const double cut = std::min(below + resolved, k.w_max());
   const double hardest = std::min(track.loss.variance * track_xi + resolved, k.w_max());

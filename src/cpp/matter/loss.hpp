@@ -22,7 +22,7 @@ T restricted_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k, con
   const T bracket = log(2 * electron_mass * bg * bg * limit) - k.beta2 * (1.0 + limit / w_max) +
                     read<&SlabPoint::log_term>(slab, k.log_bg).value +
                     k.has_spin * (0.25 * limit * limit / (k.energy * k.energy));
-  return larger(slab.xi * path * k.per_beta2 * bracket, 0.0);
+  return larger(slab.xi * path * k.charge2_per_beta2 * bracket, 0.0);
 }
 
 // A random number with mean 0, variance 1, and given skewness and excess kurtosis; Cornish and Fisher (1938),
@@ -74,7 +74,7 @@ struct CoreCut {
   T value;
 
   CoreCut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track)
-      : below(track.loss.mean * (track.xi * k.per_beta2)),
+      : below(track.loss.mean * (track.xi * k.charge2_per_beta2)),
         resolved(track.loss.share * k.p * k.beta2 * k.per_beta),
         wanted(below + resolved) {
     const T ratio = electron_mass * k.per_mass, recoil = 1.0 + 2.0 * k.gamma * ratio + ratio * ratio,
@@ -101,7 +101,7 @@ template <class T>
 LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
                                  const TrackMatterOf<T>& track) {
   const CoreCut<T> cut(k, track);
-  const T xi = slab.xi * path * k.per_beta2;
+  const T xi = slab.xi * path * k.charge2_per_beta2;
   const Read<T> term = read<&SlabPoint::log_term>(slab, k.log_bg);
   static const double log_constant = std::log(2 * electron_mass);
   const T spin = cut.share * cut.value,
@@ -117,7 +117,7 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
       2.0 + grow_cut - 2.0 * k.beta2 * per_gamma2 - spin * (2.0 * per_gamma2 + grow_cut - grow_w_max);
   const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
   const T amount = select(bracket > 0.0, xi, T(0.0));
-  const T hardest = smaller(track.loss.variance * (track.xi * k.per_beta2) + cut.resolved, cut.w_max);
+  const T hardest = smaller(track.loss.variance * (track.xi * k.charge2_per_beta2) + cut.resolved, cut.w_max);
   return {amount * bracket, amount * hardest * (1.0 - 0.5 * cut.share * hardest),
           amount * per_log_p * k.per_p};
 }
@@ -128,7 +128,7 @@ LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
   if (!k.is_light()) return heavy_core_loss(slab, path, k, track);
   LossMomentsOf<T> out;
   for (int i = 0; i < lanes_of<T>; ++i) {
-    const Kinematics one(lane(k.p, i), lane(k.mass, i), k.projectile);
+    const Kinematics one(lane(k.p, i), {lane(k.mass, i), 1.0, k.projectile});
     const TrackMatter matter{lane(track.x0, i), lane(track.xi, i), {}, track.loss};
     const LossMoments moments = light_core_loss(slab, lane(path, i), one, matter);
     set_lane(out.loss, i, moments.loss);
@@ -158,7 +158,7 @@ template <class T>
 T sample_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k, const StreamOf<T>& stream,
               std::uint32_t place) {
   if (!(slab.xi > 0)) return T(0.0);
-  const T xi = slab.xi * path * k.per_beta2, w_max = k.w_max();
+  const T xi = slab.xi * path * k.charge2_per_beta2, w_max = k.w_max();
   // The number of collisions above the cut is xi (1/cut - 1/w_max) before the spectrum's factor. It is larger
   // where the loss is larger, so that a track has some tens in all.
   const T expected = smaller(larger(xi / keV, 0.2), 1.0), per_max = 1.0 / w_max;

@@ -122,12 +122,12 @@ void prepare_table(Slab& slab, bool drawn, ScreeningGrids& grids) {
 }
 
 // One hard scatter, as a space angle; 0 if the proposed scatter is rejected.
-double hard_angle(const Slab& slab, double p, double per_beta2, double recoil, Draws& draws) {
+double hard_angle(const Slab& slab, double p, double charge2_per_beta2, double recoil, Draws& draws) {
   const double which = draws.next();
   const auto h = std::ranges::find_if(slab.hard, [&](const HardScatterer& e) { return which <= e.up_to; });
   if (h == slab.hard.end()) return 0;
   const double q2 = (slab.hard_from + h->screening) / draws.next() - h->screening;
-  const double screened = h->screening * (1 + h->slow * per_beta2) / (1 + h->slow);
+  const double screened = h->screening * (1 + h->slow * charge2_per_beta2) / (1 + h->slow);
   const double ratio = (q2 + h->screening) / (q2 + screened);
   const double choice = draws.next() * (h->z + 1), on_electron = choice - h->z;
   double accepted = ratio * ratio;
@@ -194,10 +194,10 @@ void share_scattering(Detector& detector, std::span<const std::array<double, 5>>
   }
 }
 
-void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, double recoil, double depth,
-                       Draws& draws, Kick& kick) {
+void add_hard_scatters(const Slab& slab, int n, double p, double charge2_per_beta2, double recoil,
+                       double depth, Draws& draws, Kick& kick) {
   for (int i = 0; i < n; ++i) {
-    const double angle = hard_angle(slab, p, per_beta2, recoil, draws);
+    const double angle = hard_angle(slab, p, charge2_per_beta2, recoil, draws);
     if (angle == 0) continue;
     const auto [sine, cosine] = sine_cosine_of_turn(draws.next());
     const double a = angle * cosine, b = angle * sine;

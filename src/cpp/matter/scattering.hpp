@@ -46,16 +46,16 @@ void share_scattering(Detector& detector, std::span<const std::array<double, 5>>
 template <class T>
 T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, const KinematicsOf<T>& after,
                       const TrackMatterOf<T>& track) {
-  const T screening = read<&SlabPoint::log_screening>(slab, before.log_bg).value;
+  const T screening = read<&SlabPoint::log_screening>(slab, before.log_bg_of_unit_charge()).value;
   constexpr double cut_scale = 0.5 / (1 - core_fraction);  // q_F^2 = cut_scale chi_c^2 p^2
   const T acting = larger(smaller(slab.acting * track.path, track.chi_c2), slab.chi_c2 * track.path);
-  const T cut = cut_scale * acting * before.per_beta2;
+  const T cut = cut_scale * acting * before.charge2_per_beta2;
   T sum = slab.chi_c2 * (log(cut) - screening - 1.0);
   // Electrons recoil with at most 2 m_e W_max; where this is below the cut, it limits their part of the core.
   const T recoil = 2 * electron_mass * before.w_max();
   const mask_of<T> less = recoil < cut;
   if (any(less)) sum -= select(less, slab.chi_c2_electrons * log(cut / recoil), T(0.0));
-  const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
+  const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p * before.charge2;
   constexpr double per_width = 1 / (1 + core_fraction * core_fraction);
   return larger(sum, slab.chi_c2) * path * per_width * per_p_beta2;
 }
@@ -101,24 +101,24 @@ void apply_kick(HelixPointOf<T>& point, const KickOf<T>& kick) {
 
 // Adds n hard scatters of a particle of this momentum to the kick. `depth`: mm, standard deviation of their
 // depth in the slab. `recoil`: (GeV/c)^2, the largest transfer to electrons.
-void add_hard_scatters(const Slab& slab, int n, double p, double per_beta2, double recoil, double depth,
-                       Draws& draws, Kick& kick);
+void add_hard_scatters(const Slab& slab, int n, double p, double charge2_per_beta2, double recoil,
+                       double depth, Draws& draws, Kick& kick);
 
 // Scatters in a slab: soft ones as a Gaussian, hard ones (transfer above `slab.hard_from`) one by one.
 template <class T>
 KickOf<T> sample_scattering(const Slab& slab, const T& path, const KinematicsOf<T>& before,
                             const KinematicsOf<T>& after, const StreamOf<T>& stream, std::uint32_t place) {
-  T soft = read<&SlabPoint::soft>(slab, before.log_bg).value;
+  T soft = read<&SlabPoint::soft>(slab, before.log_bg_of_unit_charge()).value;
   const T recoil = 2 * electron_mass * before.w_max();
   const mask_of<T> less = recoil < slab.hard_from;
   if (any(less)) soft -= select(less, 0.5 * slab.chi_c2_electrons * log(slab.hard_from / recoil), T(0.0));
-  const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p;
+  const T per_p_beta2 = before.per_beta * before.per_p * after.per_beta * after.per_p * before.charge2;
   const T sigma = sqrt(larger(soft, 0.0) * path * per_p_beta2);
   DrawsOf<T> draws(stream, Purpose::scattering, place);
   KickOf<T> kick;
   kick.angle_1 = sigma * normal_quantile(draws.next());
   kick.angle_2 = sigma * normal_quantile(draws.next());
-  const T n(poisson(draws.next(), slab.hard_rate * path * before.per_beta2));
+  const T n(poisson(draws.next(), slab.hard_rate * path * before.charge2_per_beta2));
   T depth(0.0);
   if (slab.shifts) {
     depth = slab.spread * path;
@@ -128,8 +128,8 @@ KickOf<T> sample_scattering(const Slab& slab, const T& path, const KinematicsOf<
   each_lane(n > 0.0, [&](int i) {
     Draws rest(lane(stream, i), draws, i);
     Kick one{lane(kick.angle_1, i), lane(kick.angle_2, i), lane(kick.shift_1, i), lane(kick.shift_2, i)};
-    add_hard_scatters(slab, static_cast<int>(lane(n, i)), lane(before.p, i), lane(before.per_beta2, i),
-                      lane(recoil, i), lane(depth, i), rest, one);
+    add_hard_scatters(slab, static_cast<int>(lane(n, i)), lane(before.p, i),
+                      lane(before.charge2_per_beta2, i), lane(recoil, i), lane(depth, i), rest, one);
     set_lane(kick.angle_1, i, one.angle_1);
     set_lane(kick.angle_2, i, one.angle_2);
     set_lane(kick.shift_1, i, one.shift_1);

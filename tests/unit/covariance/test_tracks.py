@@ -389,16 +389,16 @@ def test_quantities_follow_from_the_covariance() -> None:
 
 def test_gradients_are_the_derivatives_of_the_values() -> None:
     """Central differences of every quantity that is a function of the helix."""
-    kappa, tanl, step = np.array([-1.4, 0.7]), np.array([0.6, -1.2]), 1e-6
+    kappa, tanl, charge, step = np.array([-1.4, 0.7]), np.array([0.6, -1.2]), np.array([1, 2]), 1e-6
     for known in QUANTITIES.values():
         if known.value is None:
             continue
         for number, name in ((2, "kappa"), (4, "tanl")):
-            up, down = ({"kappa": kappa, "tanl": tanl} for _ in range(2))
+            up, down = ({"kappa": kappa, "tanl": tanl, "charge": charge} for _ in range(2))
             up[name], down[name] = up[name] + step, down[name] - step
             slope = (known.value(up) - known.value(down)) / (2 * step)
-            slope = slope / known.value({"kappa": kappa, "tanl": tanl}) if known.relative else slope
-            found = known.gradient(kappa, tanl)[:, number]
+            slope = slope / known.value({"kappa": kappa, "tanl": tanl, "charge": charge}) if known.relative else slope
+            found = known.gradient(kappa, tanl, charge)[:, number]
             np.testing.assert_allclose(found, known.factor * slope, rtol=1e-7, atol=1e-6)
 
 

@@ -52,6 +52,25 @@ def test_number_of_clusters_is_poisson() -> None:
     assert_within(number.var(), mean, math.hypot(math.sqrt((mean + 2 * mean**2) / N), 0.002 * mean), what="variance")
 
 
+@pytest.mark.parametrize(("charge", "beta_gamma", "n"), [(2, 1.0, 4000), (6, 0.2, 300)])
+def test_clusters_grow_with_the_square_of_the_charge(charge: int, beta_gamma: float, n: int) -> None:
+    """A nucleus makes z^2 times the clusters of a proton as fast, also beyond 2044 of them, of the same sizes."""
+    one, other = (
+        ionize(n, p=beta_gamma * mass, mass=mass, charge=z) for mass, z in ((PROTON, 1), (2 * charge * PROTON, charge))
+    )
+    numbers = [np.bincount(found["deposit_crossing"], minlength=n) for found in (one, other)]
+    mean = charge**2 * numbers[0].mean()
+    assert (mean > 4 * 2044) == (charge == 6)
+    error = math.hypot(charge**2 * mean_error(numbers[0]), mean_error(numbers[1]))
+    assert_within(numbers[1].mean(), mean, error, what="mean")
+    assert_within(numbers[1].var(), mean, math.sqrt(mean / n + 2 * mean**2 / n), what="variance")
+    small = [np.mean(found["deposit_electrons"] == 1) for found in (one, other)]
+    errors = [fraction_error(share, number.sum()) for share, number in zip(small, numbers, strict=True)]
+    assert_within(small[1], small[0], math.hypot(*errors), what="share of single electrons")
+    first = other["deposit_x"][other["deposit_crossing"] == 0]
+    assert len(np.unique(first)) == len(first)  # clusters beyond the first 2044 repeat no random numbers
+
+
 def sizes_drawn(n: int, random: np.random.Generator) -> np.ndarray:
     """Return electrons of ionization clusters, drawn from the table: listed sizes, and 1/n^2 within ranges."""
     table = ionization("ar-ic4h10-90-10")

@@ -17,8 +17,22 @@ from cgemit.detector.matter import hole_table
 from cgemit.particles.gun import Gun, generate
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.tables import Table
-from coulomb import core_angle, screening_squared, strength
-from slabs import BERYLLIUM, COPPER, ELECTRON, KAPTON, MUON, PION, PROTON, bethe, composition, slab_detector
+from coulomb import core_angle, exact_quantiles, screening_squared, strength
+from slabs import (
+    ALPHA,
+    BERYLLIUM,
+    CARBON,
+    COPPER,
+    ELECTRON,
+    KAPTON,
+    MUON,
+    PION,
+    PROTON,
+    WATER,
+    bethe,
+    composition,
+    slab_detector,
+)
 from stats import assert_within, fraction_error, mean_error
 from tracks import hits_on
 
@@ -69,6 +83,54 @@ def test_core_angle(matter, thickness, p, mass, screening):
         assert found == pytest.approx(expected, rel=5e-4)
     other = core_angle([(matter, thickness)], p, mass, "wentzel" if screening == "moliere" else "moliere")
     assert abs(other / expected - 1) > 5e-3  # the gate sees the other screening
+
+
+def test_alpha_angle_by_hand():
+    """1.4 mm of beryllium turn the core of alphas of 2 GeV/c by 1.54 mrad: chi_c and chi_a with the charge."""
+    # E = 4.2300 GeV, beta^2 = 4/17.893 = 0.22355, p beta = 0.94562 GeV; chi_c^2 = 0.157 MeV^2 z^2 Z(Z + 1) x 0.0287 /
+    # (p beta)^2, z = 2; chi_a^2 = 2.007e-5 4^(2/3) (1 + 3.34 (4 x 2/137)^2/0.22355) MeV^2/p^2; v = 25 chi_c^2/chi_a^2.
+    chi_c = 0.157e-6 * 4 * 20 * 0.028708 / 0.94562**2
+    chi_a = 2.007e-11 * 4 ** (2 / 3) * (1 + 3.34 * (8 / 137) ** 2 / 0.22355) / 2**2
+    # Electrons, a fifth of chi_c^2, take at most 2 m_e W_max = 2 x 0.511 MeV x 0.2942 MeV.
+    variance = 0.8 * (math.log(25 * chi_c / chi_a) - 1)
+    variance += 0.2 * (math.log(min(25 * chi_c, 2 * 0.511e-3 * 0.2942e-3 / 4) / chi_a) - 1)
+    by_hand = math.sqrt(chi_c / (1 + 0.98**2) * variance)
+    core = slab_detector([(BERYLLIUM, 1.4, 50.0)], screening="moliere")
+    total = _core.total_matter(core, 0.0)[2]
+    found = {
+        charge: _core.scattering_angle(core, 0, path=1.0, p=2.0, mass=ALPHA, charge=charge, track_chi_c2=total)
+        for charge in (1, 2, -2)
+    }
+    assert found[2] == found[-2] == pytest.approx(by_hand, rel=1e-3)
+    assert by_hand == pytest.approx(1.54e-3, rel=2e-3)
+    # Highland's formula, PDG 2024 eq. 34.16, to its 11 %: x/X0 = 0.14 cm x 1.848 g/cm3/65.19 g/cm2.
+    x = 0.14 * 1.848 / 65.19
+    highland = 13.6e-3 * 2 / 0.94562 * math.sqrt(x) * (1 + 0.038 * math.log(x * 4 / 0.22355))
+    assert found[2] == pytest.approx(highland, rel=0.11)
+    assert found[2] > 2.05 * found[1]  # the logarithm grows, too
+
+
+@pytest.mark.parametrize("charge", [2, 6])
+@pytest.mark.parametrize("screening", ["wentzel", "moliere"])
+def test_core_angle_of_charges(charge, screening):
+    """The angle of nuclei is that of Lynch and Dahl with z^2 in chi_c^2 and (Z z alpha/beta)^2 in chi_a^2."""
+    for matter, thickness, p in ((BERYLLIUM, 1.4, 3.0), (COPPER, 0.014, 8.0), (KAPTON, 0.3, 30.0)):
+        total = chi_c2([(matter, thickness)])
+        core = slab_detector([(matter, thickness, 50.0)], screening=screening)
+        found = _core.scattering_angle(core, 0, path=1.0, p=p, mass=ALPHA, charge=charge, track_chi_c2=total)
+        assert found == pytest.approx(core_angle([(matter, thickness)], p, ALPHA, screening, charge=charge), rel=1e-3)
+
+
+@pytest.mark.parametrize("charge", [1, 2])
+def test_drawn_angles_of_alphas(charge):
+    """Half widths of simulated angles are those of single scatters with the charge, and twice those of unit charge."""
+    fractions = np.array([0.6827, 0.98])
+    core = slab_detector([(COPPER, 0.1, 50.0)])
+    out = _core.through_slabs(core, p=3.0, mass=ALPHA, charge=charge, n=40_000, seed=1)
+    found = np.quantile(np.abs(np.concatenate([out["angle_1"], out["angle_2"]])), fractions)
+    exact = [exact_quantiles(COPPER.moles(0.1), 3.0, ALPHA, "wentzel", fractions, charge=z) for z in (1, 2)]
+    assert found == pytest.approx(exact[charge - 1], rel=0.015)
+    assert np.all(exact[1] > 2.02 * exact[0])
 
 
 def test_core_angle_of_a_mixture_is_that_of_its_elements():
@@ -196,6 +258,41 @@ def test_bethe(matter, thickness, p, mass):
         harder += xi * 0.25 * (w_max**2 - cut**2) / (p * p + mass * mass)
     whole = _core.restricted_loss(core, 0, path=1.0, p=p, mass=mass, cut=w_max)
     assert whole - restricted == pytest.approx(harder, rel=1e-9)
+
+
+def test_alpha_loss_by_hand():
+    """An alpha of 2 GeV/c loses 5.18 MeV in 1.4 mm of beryllium, four times a particle of unit charge."""
+    # xi = 4 x 0.1535 MeV x 0.44384 x 1.848 x 0.14 / 0.22355; (beta gamma)^2 = 4/13.8934; W_max = 2 x 0.511 MeV x
+    # 0.28791 / (1 + 2 x 1.1349 x 1.371e-4) = 0.2941 MeV; no density effect below x0; spin 0.
+    xi = 4 * 0.153537 * 0.44384 * 1.848 * 0.14 / 0.22355
+    by_hand = xi * (math.log(2 * 0.510999 * 0.28791 * 0.2941 / 63.7e-6**2) - 2 * 0.22355)
+    core = slab_detector([(BERYLLIUM, 1.4, 50.0)])
+    found = {z: _core.restricted_loss(core, 0, path=1, p=2, mass=ALPHA, charge=z, cut=1) for z in (1, -2, 2)}
+    assert found[2] == found[-2] == pytest.approx(1e-3 * by_hand, rel=2e-3)
+    assert found[2] == pytest.approx(4 * found[1], rel=1e-12)
+    assert by_hand == pytest.approx(5.18, abs=0.01)
+
+
+def test_alpha_loss_is_that_of_four_protons():
+    """NIST's PSTAR has 7.289 MeV cm2/g for protons of 100 MeV in water: four times as much for alphas as fast."""
+    gamma = 1 + 0.1 / PROTON
+    core = slab_detector([(WATER, 1.0, 50.0)])
+    p = ALPHA * math.sqrt(gamma**2 - 1)
+    found = _core.restricted_loss(core, 0, path=10.0, p=p, mass=ALPHA, charge=2, cut=1)  # 1 g/cm2
+    assert 1e3 * found == pytest.approx(4 * 7.289, rel=0.01)
+
+
+def test_loss_moments_of_alphas():
+    """Mean and variance of drawn losses are Bethe's and xi W_max (1 - beta^2/2) with z^2, and the fit has the mean."""
+    core, n = slab_detector([(CARBON, 0.5, 50.0)], loss="mean"), 20_000
+    mean, xi, w_max = bethe(CARBON, 0.5, 3.0, ALPHA)
+    beta2 = 9 / (9 + ALPHA**2)
+    drawn = _core.through_slabs(core, p=3.0, mass=ALPHA, charge=2, n=n, seed=3)["loss"]
+    assert drawn.mean() == pytest.approx(4 * mean, rel=2e-3)
+    assert drawn.var() == pytest.approx(4 * xi * w_max * (1 - 0.5 * beta2), rel=0.05)
+    fitted = _core._testing.core_loss(core, 0, path=1.0, p=3.0, mass=ALPHA, charge=2, track_xi=CARBON.xi(0.5))
+    assert fitted[0] == pytest.approx(4 * mean, rel=2e-3)
+    assert fitted[1] == pytest.approx(drawn.var(), rel=0.05)
 
 
 @pytest.mark.parametrize("matter", [BERYLLIUM, COPPER, KAPTON])

@@ -108,9 +108,8 @@ def test_any_number_of_candidates():
     hits = run.candidate_hits[run.candidate_hits["event"] == 1]
     twice = np.repeat(np.arange(2), len(hits))
     columns = {name: np.tile(hits[name], 2) for name in hits} | {"candidate": twice}
-    candidates = Table(
-        "candidates", {"event": [1, 1], "candidate": [0, 1], "pdg": [13, 211], "mass": [0.10566, 0.13957]}, 3
-    )
+    kinds = {"pdg": [13, 211], "mass": [0.10566, 0.13957], "charge": [1, 1]}
+    candidates = Table("candidates", {"event": [1, 1], "candidate": [0, 1]} | kinds, 3)
     given = (run.clusters, run.wire_hits)
     tracks = fit(DETECTOR, *given, candidates, Table("candidate_hits", columns, 3))["tracks"]
     assert tracks["event"].tolist() == [1, 1]

@@ -762,6 +762,50 @@ def test_budget_adds_up() -> None:
 STOPPING = cg.Gun("p", p=(0.20, 0.26), cos_theta=(-0.3, 0.3))
 
 
+@pytest.fixture(scope="module")
+def alphas() -> cg.Result:
+    """Return alphas of both charges with exact noise, and their states."""
+    gun = cg.Gun("alpha", p=(1.5, 3.0), cos_theta=(-0.6, 0.6)) + cg.Gun("anti-alpha", p=2.0, cos_theta=0.2)
+    stages = cg.Settings(
+        simulate=SimulateSettings(fluctuations="gaussian"), fit=FitSettings(states=("origin", 400.0), residuals=True)
+    )
+    return cg.run("besiii-cgem", gun, 150, 4, settings=stages, readout="gaussian")
+
+
+def test_alphas_have_twice_the_momentum_of_their_curvature(alphas: cg.Result) -> None:
+    """Momenta in all tables are charge/kappa, and those of the particles; chi-square is right."""
+    tracks, states = alphas.tracks, alphas.states
+    assert np.all(tracks["status"] == 0)
+    assert np.all((tracks["charge"] == 2) & (tracks["hypothesis"] == 1000020040))
+    slant = np.hypot(1, tracks["tanl"])
+    np.testing.assert_allclose(tracks["p"], 2 * slant / np.abs(tracks["kappa"]), rtol=1e-14)
+    assert np.all(np.sign(tracks["kappa"]) == np.where(np.arange(len(tracks)) % 2, -1, 1))
+    true = np.sqrt(sum(alphas.particles[f"p{axis}"] ** 2 for axis in "xyz"))
+    np.testing.assert_allclose(tracks["truth_p"], true, rtol=1e-12)
+    assert np.std(tracks["pull_p"]) == pytest.approx(1, abs=4 / math.sqrt(2 * len(tracks)))
+    assert np.mean(tracks["chi2"] / tracks["ndf"]) == pytest.approx(1, abs=0.05)
+    at_origin = states["surface"] == 0
+    assert np.all(states["charge"] == 2)
+    p = np.sqrt(sum(states[f"p{axis}"] ** 2 for axis in "xyz"))
+    np.testing.assert_allclose(p[at_origin], tracks["p"], rtol=1e-9)
+    # pt and its resolution, too.
+    pt = cg.resolution(tracks, "pt_rel")
+    assert pt.q68 == pytest.approx(cg.resolution(tracks, "p_rel").q68, rel=0.1)
+
+
+def test_extrapolated_alphas_lose_their_energy(alphas: cg.Result) -> None:
+    """A track moved to a cylinder has the momentum of the fit's state there; as a proton it loses far less."""
+    inside = alphas.states["surface"] == 0
+    smoothed = alphas.states[~inside]
+    p = np.sqrt(sum(smoothed[f"p{axis}"] ** 2 for axis in "xyz"))
+    for particle, relation in ((None, np.less_equal), ("p", np.greater)):
+        moved = cg.extrapolate(alphas.detector, alphas.fitted, 400.0, particle=particle)
+        lost = alphas.fitted["p"] * (0.5 if particle else 1) - np.sqrt(sum(moved[f"p{axis}"] ** 2 for axis in "xyz"))
+        expected = alphas.fitted["p"] - p
+        assert relation(np.abs(np.median(lost / expected) - 1), 0.1)
+    assert np.median(expected) > 0.03
+
+
 @pytest.fixture(params=isa.available())
 def each_isa(request: pytest.FixtureRequest) -> Iterator[None]:
     """Use one instruction set after the other."""

@@ -47,6 +47,7 @@ def tracks_of(particles: cg.Table, *, smear: int | None = None) -> tuple[cg.Tabl
     columns |= dict(zip(helix.PARAMETERS, parameters.T, strict=True)) | {"cov": cov, "event": particles["event"]}
     columns |= {f"err_{name}": np.sqrt(cov[:, i, i]) for i, name in enumerate(helix.PARAMETERS)}
     columns |= {"hypothesis": np.abs(particles["pdg"]), "candidate": np.arange(n), "p": helix.momentum(parameters)}
+    columns["charge"] = np.ones(n, np.int8)
     columns["err_p"] = helix.momentum_error(parameters, cov)
     tracks = cg.Table("tracks", columns, **particles.cover)
     same = {"event": particles["event"], "track": np.arange(n), "particle": particles["particle"]}
@@ -88,6 +89,19 @@ def decays(name: str, n: int, seed: int = 1) -> cg.Table:
     order = np.lexsort((-given["charge"], given["event"]))
     columns = {key: value[order] for key, value in given.columns.items()}
     return cg.Table("particles", columns, given.n_events)
+
+
+def test_momenta_have_the_charge_of_their_tracks() -> None:
+    """Tracks of charge 2 have twice the momentum of their curvature, at the same vertex."""
+    particles = cg.run(DETECTOR, cg.sample("ks-pipi"), 20, 3, until="simulate").particles
+    tracks, _ = tracks_of(particles)
+    pairs = cg.pair_tracks(tracks)
+    once = cg.fit_vertices(DETECTOR, tracks, pairs)
+    twice = cg.fit_vertices(DETECTOR, tracks.with_columns(charge=np.full(len(tracks), 2, np.int8)), pairs)
+    for axis in "xyz":
+        np.testing.assert_allclose(twice[axis], once[axis])
+        np.testing.assert_allclose(twice[f"p{axis}"], 2 * once[f"p{axis}"])
+    assert np.all(twice["mass"] > once["mass"])
 
 
 @pytest.mark.parametrize("spot", [None, cg.BeamSpot(sigma=(0.4, 0.01, 10.0))], ids=["free", "beam spot"])

@@ -194,7 +194,7 @@ def _core_settings(settings: FindSettings, fit: FitSettings, weak: bool) -> dict
     method, hypothesis = values.pop("method"), values.pop("hypothesis")
     return values | {
         "segments": method in ("combined", "segments"), "chamber": method != "segments",
-        "mass": HYPOTHESES[hypothesis].mass,
+        "mass": HYPOTHESES[hypothesis].mass, "charge": float(abs(HYPOTHESES[hypothesis].charge)),
         "momentum": (settings.momentum or fit.momentum or USUAL_MOMENTUM) if weak else 0.0,
         "least_width": fit.least_width, "delta_strips": fit.delta_strips,
     }  # fmt: skip
@@ -315,7 +315,7 @@ def _tables(
     kind = HYPOTHESES[settings.hypothesis]
     candidates = {
         "event": event, "candidate": np.arange(n) - np.searchsorted(event, event),
-        "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass),
+        "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass), "charge": np.full(n, abs(kind.charge)),
     }  # fmt: skip
     candidate = np.repeat(np.arange(n), np.diff(found["offsets"]))
     of_points = np.flatnonzero(view[found["hits"]] == HIT_XV)

@@ -55,7 +55,7 @@ def by_truth(
     Returns
     -------
     dict of str to Table
-        ``candidates``, one per charged particle that flew and in their order, with the particle's own mass, and
+        ``candidates``, one per charged particle that flew and in their order, with its own mass and charge, and
         ``candidate_hits``, ordered from the beam line outward.
 
     Raises
@@ -78,6 +78,7 @@ def by_truth(
         "candidate": np.arange(len(event)) - np.searchsorted(event, event),
         "pdg": np.abs(particles["pdg"].take(charged)),
         "mass": particles["mass"].take(charged),
+        "charge": np.abs(particles["charge"].take(charged)),
     }
     hits["event"] = event.take(hits["candidate"])
     about = particles.cover | {"meta": {"finder": "truth"}}

@@ -8,6 +8,7 @@
 
 #include "common/interrupt.hpp"
 #include "kalman/group.hpp"
+#include "matter/kinematics.hpp"
 #include "reconstruction/find/pair_scores.hpp"
 
 namespace cgemit {
@@ -16,6 +17,7 @@ namespace cgemit {
 struct FindSettings {
   bool segments, chamber;  // the sources of seeds
   double mass;             // GeV
+  double charge;           // e, unsigned
   double efficiency;       // of a layer or cell that a track crosses
   double gate;             // standard deviations
   int branches;            // kept at a time
@@ -29,6 +31,9 @@ struct FindSettings {
   bool annealing;          // of wire hits near several tracks
   double least_width, delta_strips;  // cluster errors, as in the fit
   double momentum;  // GeV/c, with which all tracks scatter and lose energy; 0: that of their curvature
+
+  // `kappa`: of a track.
+  Species species(double kappa) const { return species_of(mass, charge, kappa); }
 };
 
 // Hits `offsets[i]` to `offsets[i + 1]` belong to event i.

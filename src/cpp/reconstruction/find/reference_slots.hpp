@@ -15,17 +15,14 @@ namespace cgemit {
 
 inline void trace_nearby(const Detector& detector, const Perigee& start, const FindSettings& settings,
                          Group<double>& group, NearbyHits& nearby) {
-  const double mass = settings.mass;
-  const Projectile projectile = projectile_of(mass, start.kappa);
+  const Species species = settings.species(start.kappa);
   const NearbyObserver observer(nearby);
   const MatterMomentum<double> matter{settings.momentum > 0, settings.momentum};
   if (detector.field.is_uniform())
-    Tracer<double, HelixMotion<double>, NearbyObserver>(detector, start, mass, projectile, group, observer,
-                                                        matter)
+    Tracer<double, HelixMotion<double>, NearbyObserver>(detector, start, species, group, observer, matter)
         .run(true);
   else
-    Tracer<double, FieldReference<double>, NearbyObserver>(detector, start, mass, projectile, group, observer,
-                                                           matter)
+    Tracer<double, FieldReference<double>, NearbyObserver>(detector, start, species, group, observer, matter)
         .run(true);
 }
 
@@ -33,7 +30,8 @@ inline double variance_of(const Detector& detector, const FindSettings& settings
   const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(slot.layer)];
   if (slot.size <= 0) return slot.noise + inclined_variance(layer, slot.extent);
   const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
-  return cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
+  return cluster_variance(slot.size, slot.extent, pitch, settings.least_width,
+                          settings.delta_strips * settings.charge * settings.charge);
 }
 
 // The measurement of a slot for the filter; that of a wire on the side of its weight, right minus left

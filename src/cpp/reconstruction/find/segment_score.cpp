@@ -56,7 +56,7 @@ void SegmentScore::circle(const std::array<std::size_t, 3>& layers, const std::a
   x_ = x;
   s_ = s;
   d_ = d;
-  pt_ = settings_.momentum > 0 ? settings_.momentum : 1 / std::max(std::abs(kappa), 1e-3);
+  pt_ = settings_.momentum > 0 ? settings_.momentum : settings_.charge / std::max(std::abs(kappa), 1e-3);
   const double ab = s[1] - s[0], bc = s[2] - s[1], ac = s[2] - s[0];
   // The closest approach is a sum of the three points with these weights.
   const Three weight{s[1] * s[2] / (ab * ac), -s[0] * s[2] / (ab * bc), s[0] * s[1] / (ac * bc)};
@@ -87,7 +87,7 @@ double SegmentScore::height_variance(std::size_t i, std::int32_t v) const {
 
 SegmentScore::Scatter SegmentScore::scatter(double tanl) const {
   const double stretch = 1 + tanl * tanl, p2 = pt_ * pt_ * stretch;
-  const double angle = highland * highland * thickness * std::sqrt(stretch) *
+  const double angle = square(settings_.charge * highland) * thickness * std::sqrt(stretch) *
                        (p2 + settings_.mass * settings_.mass) / (p2 * p2);
   return {angle, angle * square((s_[2] - s_[1]) * stretch)};
 }

@@ -6,12 +6,12 @@
 
 namespace cgemit {
 
-Perigee trace_back(const Detector& detector, const Perigee& helix, double radius, double mass) {
+Perigee trace_back(const Detector& detector, const Perigee& helix, double radius, const Species& species) {
   const double per_kappa = curvature(detector.bz, 1.0), sec_lambda = std::sqrt(1 + helix.tanl * helix.tanl);
   HelixPoint at = closest_point(helix, per_kappa);
   double arc = 0;
   if (!step_to_cylinder(at, radius, arc)) return helix;
-  Kinematics now(sec_lambda / std::abs(helix.kappa), mass, projectile_of(mass, helix.kappa));
+  Kinematics now(species.charge * sec_lambda / std::abs(helix.kappa), species);
   TrackMatter track = total_matter(detector, at.tanl);
   set_cut(track, now);
   for (std::size_t i = detector.slabs.size(); i-- > 0;) {

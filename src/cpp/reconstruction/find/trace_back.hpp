@@ -2,6 +2,7 @@
 #pragma once
 
 #include "detector/detector.hpp"
+#include "matter/kinematics.hpp"
 #include "motion/helix.hpp"
 
 namespace cgemit {
@@ -10,6 +11,6 @@ namespace cgemit {
 inline constexpr double slow_kappa = 8;
 
 // `helix`: that of the particle at `radius` mm, as if it had lost nothing.
-Perigee trace_back(const Detector& detector, const Perigee& helix, double radius, double mass);
+Perigee trace_back(const Detector& detector, const Perigee& helix, double radius, const Species& species);
 
 }  // namespace cgemit

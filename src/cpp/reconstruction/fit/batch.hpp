@@ -52,7 +52,7 @@ class BatchFit {
     if (kinks) fit_all(starts, false, false);
     for (std::size_t track = 0; track < input_.tracks(); ++track) {
       mark_left_out(out_.rows[track]);
-      mark_unconstrained(out_.rows[track]);
+      mark_unconstrained(out_.rows[track], input_.charge[track]);
     }
   }
 
@@ -112,7 +112,7 @@ class BatchFit {
   // Where the field is weak, or particles stop behind the first layers, a helix with any momentum fits the
   // hits. A fitted kappa that is far from 0 by chance does not measure the momentum that matter was given. A
   // few wires of one stereo angle say little of z: the errors along z are then those of the filter's prior.
-  void mark_unconstrained(FitRow& row) const {
+  void mark_unconstrained(FitRow& row, double charge) const {
     if (row.status != FitStatus::ok) return;
     const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[parameters * i + k]; };
     const auto as_prior = [&](std::size_t i) {
@@ -123,7 +123,7 @@ class BatchFit {
     const double kappa = row.helix[2], tanl = row.helix[4], slope = tanl / (1 + tanl * tanl);
     const double variance =
         cov(2, 2) / (kappa * kappa) - 2 * slope * cov(2, 4) / kappa + slope * slope * cov(4, 4);
-    const double in_matter = most_error * std::sqrt(1 + tanl * tanl) / row.matter_p;
+    const double in_matter = most_error * charge * std::sqrt(1 + tanl * tanl) / row.matter_p;
     const bool any_momentum =
         !(variance < most_error * most_error) || (row.matter_p > 0 && !(cov(2, 2) < in_matter * in_matter));
     if (any_momentum || as_prior(3) || as_prior(4)) row.status = FitStatus::unconstrained;
@@ -165,8 +165,8 @@ class BatchFit {
     std::vector<Start> starts;
     for (std::size_t track = 0; track < input_.tracks(); ++track) {
       if (out_.rows[track].status == FitStatus::too_few_hits || done(track)) continue;
-      const auto seed =
-          seed_helix(detector_, hits(track), sides(track), from, input_.mass[track], settings_.momentum);
+      const auto seed = seed_helix(detector_, hits(track), sides(track), from, input_.mass[track],
+                                   input_.charge[track], settings_.momentum);
       if (seed) starts.push_back({track, key(track), *seed});
     }
     return starts;
@@ -197,7 +197,9 @@ class BatchFit {
     std::array<std::span<const std::int8_t>, width> sides_of;
     std::array<FitLane, width> lanes;
     PerigeeOf<T> helix;
-    T mass, spread;
+    SpeciesOf<T> species;
+    T spread;
+    species.projectile = kind;
     for (std::size_t k = 0; k < width; ++k) {
       const Start& start = starts[std::min(k, starts.size() - 1)];  // idle lanes hold a valid helix
       const Perigee& from = start.seed.helix;
@@ -207,7 +209,8 @@ class BatchFit {
       set_lane(helix.kappa, i, usable_kappa(from.kappa));
       set_lane(helix.z0, i, from.z0);
       set_lane(helix.tanl, i, from.tanl);
-      set_lane(mass, i, input_.mass[start.track]);
+      set_lane(species.mass, i, input_.mass[start.track]);
+      set_lane(species.charge, i, input_.charge[start.track]);
       set_lane(spread, i, start.seed.spread);
       if (k >= starts.size()) continue;
       hits_of[k] = hits(start.track);
@@ -216,7 +219,7 @@ class BatchFit {
           is_first(start.track) ? rows_of(start.track) : scratch_[k].rows(hits_of[k].size(), slabs(), out_);
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
-    fit_.run(helix, spread, mass, kind, std::span(lanes).first(starts.size()), wires_first, kinks);
+    fit_.run(helix, spread, species, std::span(lanes).first(starts.size()), wires_first, kinks);
     for (std::size_t k = 0; k < starts.size(); ++k) {
       if (lanes[k].rows != &out_.rows[starts[k].track]) keep_better(starts[k].track, lanes[k]);
     }

@@ -3,21 +3,23 @@
 
 #include "common/lanes/math.hpp"
 #include "kalman/group.hpp"
+#include "matter/kinematics.hpp"
 
 namespace cgemit {
 
 // For a traced group whose tracks start from `helix`; `spread` (mm) is the distance of most hits from it. The
 // fit reviews both later. The first values save iterations and keep outliers out of the first one.
 template <class T>
-void first_guess(Group<T>& group, const PerigeeOf<T>& helix, T mass, T spread, mask_of<T> who,
-                 bool outliers) {
+void first_guess(Group<T>& group, const PerigeeOf<T>& helix, const SpeciesOf<T>& species, T spread,
+                 mask_of<T> who, bool outliers) {
   constexpr double sharp = 0.6;  // mm, two to three times the spread of clean tracks
   who = who & (spread < sharp);
   if (!any(who)) return;
-  // Displacement of a track from its first helix by scattering: 13.6 MeV sqrt(0.02)/(p beta) over half a
+  // Displacement of a track from its first helix by scattering: 13.6 MeV z sqrt(0.02)/(p beta) over half a
   // metre, over sqrt(3).
-  const T p2 = (1.0 + helix.tanl * helix.tanl) / (helix.kappa * helix.kappa);
-  const T wander = 0.56 * sqrt(p2 + mass * mass) / p2;
+  const T charge = species.charge, mass = species.mass;
+  const T p2 = charge * charge * (1.0 + helix.tanl * helix.tanl) / (helix.kappa * helix.kappa);
+  const T wander = 0.56 * charge * sqrt(p2 + mass * mass) / p2;
   // The helix goes through the hits and therefore absorbs most of this displacement.
   const T variance = 2.0 * spread * spread + wander * wander / 16.0;
   T all(0.0), far(0.0);

@@ -38,6 +38,7 @@ struct FitInput {
   std::span<const Hit> hits;
   std::span<const std::int8_t> side;
   std::span<const double> mass;    // GeV
+  std::span<const double> charge;  // e, unsigned
   std::span<const Perigee> start;  // one per track, or empty
   Interrupted interrupted = never_interrupted;
 

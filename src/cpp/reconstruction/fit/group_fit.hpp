@@ -21,9 +21,10 @@ class GroupFit {
 
   // Fits from `start`; `spread` (mm) is the distance of most hits from it. `wires_first`: the unknown sides
   // are determined from the wires alone before the clusters join. `kinks`: slow tracks get kinks.
-  void run(const PerigeeOf<T>& start, T spread, T mass, Projectile projectile, std::span<const FitLane> lanes,
+  void run(const PerigeeOf<T>& start, T spread, const SpeciesOf<T>& species, std::span<const FitLane> lanes,
            bool wires_first, bool kinks) {
     helix_ = start;
+    species_ = species;
     matter_ = {};
     measured_ = mask_of<T>(false);
     spread_ = spread;
@@ -45,7 +46,7 @@ class GroupFit {
     variance_ = prior;
     for (iteration_ = 0; iteration_ < settings_.max_iterations && any(active_); ++iteration_) {
       if (iteration_ % iterations_per_check == iterations_per_check - 1 && interrupted_()) return;
-      iterate(prior, mass, projectile);
+      iterate(prior);
     }
   }
 
@@ -82,7 +83,7 @@ class GroupFit {
     mask_of<T> judged;       // lanes that are searched for outliers
   };
 
-  void iterate(const Five<T>& prior, T mass, Projectile projectile) {
+  void iterate(const Five<T>& prior) {
     Iteration now{};
     now.last = iteration_ + 1 == settings_.max_iterations;
     now.rough = iteration_ < rough_iterations && !now.last && !detector_.field.is_uniform();
@@ -92,7 +93,7 @@ class GroupFit {
       take_mean_field();
     }
     was_rough_ = now.rough;
-    linearise(now, mass, projectile);
+    linearise(now);
     if (!any(now.works)) return;
     filter_inward(now, prior);
     smooth_outward(now);
@@ -102,10 +103,10 @@ class GroupFit {
   }
 
   // Follows the reference trajectory and computes the measurement of every hit on it.
-  void linearise(Iteration& now, T mass, Projectile projectile) {
+  void linearise(Iteration& now) {
     if (iteration_ > patient_iterations) give_up_hits();
     if (any(active_ & !now.kept)) {
-      trace(mass, projectile, now.kept, now.rough);
+      trace(now.kept, now.rough);
       noise_ = noise_variances(group_);
     }
     if (any(now.kept)) follow_extents(group_, detector_, extents_at_, helix_, now.kept);
@@ -119,10 +120,10 @@ class GroupFit {
     now.works = works;
     if (!any(works)) return;
     // After radiation, electrons are far from any first helix.
-    if (iteration_ == 0 && projectile < Projectile::electron)
-      first_guess(group_, scattering_helix(), mass, spread_, works, settings_.outlier_pull > 0);
+    if (iteration_ == 0 && species_.projectile < Projectile::electron)
+      first_guess(group_, scattering_helix(), species_, spread_, works, settings_.outlier_pull > 0);
     if (settings_.outlier_pull > 0) keep_enough(group_, works);
-    fill_slots(group_, detector_, settings_, wires_only_);
+    fill_slots(group_, detector_, settings_, T(species_.charge * species_.charge), wires_only_);
   }
 
   // Computes the state at the origin and the next reference.
@@ -217,13 +218,13 @@ class GroupFit {
 
   // The first iterations, which start some standard deviations off and look for the sides of the wires, take
   // the field at the origin for the field everywhere: a fifth of the time of a map.
-  void trace(T mass, Projectile projectile, mask_of<T> kept, bool roughly) {
+  void trace(mask_of<T> kept, bool roughly) {
     const mask_of<T> who = active_ & !kept;
     choose_momentum(who);
     if (detector_.field.is_uniform() || roughly) {
-      Tracer<T>(detector_, helix_, mass, projectile, group_, {}, matter_).run(who, kept);
+      Tracer<T>(detector_, helix_, species_, group_, {}, matter_).run(who, kept);
     } else {
-      Tracer<T, FieldReference<T>>(detector_, helix_, mass, projectile, group_, {}, matter_).run(who, kept);
+      Tracer<T, FieldReference<T>>(detector_, helix_, species_, group_, {}, matter_).run(who, kept);
     }
   }
 
@@ -231,10 +232,9 @@ class GroupFit {
   // weak field does not measure it. Once a fitted kappa does, it stays so: with its own momentum a slow track
   // scatters more, and would return to the given one.
   void choose_momentum(mask_of<T> who) {
-    const T sec_lambda = sqrt(1.0 + helix_.tanl * helix_.tanl);
     MatterMomentum<T> now{mask_of<T>(false), T(settings_.momentum)};
     if (iteration_ > 0) {
-      now = MatterMomentum<T>::of_fit(helix_.kappa, sqrt(variance_[2]), sec_lambda, settings_.momentum,
+      now = MatterMomentum<T>::of_fit(helix_.kappa, sqrt(variance_[2]), charge_sec(), settings_.momentum,
                                       detector_.bz);
       now.given = now.given & !measured_;
       measured_ = measured_ | (who & !now.given);
@@ -246,11 +246,13 @@ class GroupFit {
     matter_.p = select(who, now.p, matter_.p);
   }
 
+  // Momentum of the helix with kappa 1.
+  T charge_sec() const { return species_.charge * sqrt(1.0 + helix_.tanl * helix_.tanl); }
+
   // The helix with the kappa of the momentum in matter.
   PerigeeOf<T> scattering_helix() const {
     PerigeeOf<T> helix = helix_;
-    if (any(matter_.given))
-      helix.kappa = select(matter_.given, sqrt(1.0 + helix.tanl * helix.tanl) / matter_.p, helix.kappa);
+    if (any(matter_.given)) helix.kappa = select(matter_.given, charge_sec() / matter_.p, helix.kappa);
     return helix;
   }
 
@@ -372,7 +374,7 @@ class GroupFit {
     step(helix_.z0, x[3]);
     step(helix_.tanl, x[4]);
     if (is_straight(detector_.bz)) {
-      const T kappa = sqrt(1.0 + helix_.tanl * helix_.tanl) / settings_.momentum;
+      const T kappa = charge_sec() / settings_.momentum;
       helix_.kappa = select(who, copysign(kappa, helix_.kappa), helix_.kappa);
     }
     helix_.kappa = select(helix_.kappa == 0.0, T(1e-9), helix_.kappa);
@@ -398,6 +400,7 @@ class GroupFit {
   const FitSettings& settings_;
   Group<T>& group_;
   Interrupted interrupted_;
+  SpeciesOf<T> species_;
   PerigeeOf<T> helix_;            // linearisation point of the next iteration
   MatterMomentum<T> matter_;      // of the last trace
   mask_of<T> measured_;           // lanes whose fitted kappa has measured the momentum

@@ -8,10 +8,12 @@
 
 namespace cgemit {
 
-// `wires_only`: lanes that do not use their clusters yet.
+// `charge2`: e^2, of the particles; they make so many times more delta electrons. `wires_only`: lanes that do
+// not use their clusters yet.
 template <class T>
 CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const FitSettings& settings,
-                               mask_of<T> wires_only) {
+                               const T& charge2, mask_of<T> wires_only) {
+  const T delta_strips = settings.delta_strips * charge2;
   for (Slot<T>& slot : group.slots) {
     slot.used = slot.met & !slot.outlier;
     if (slot.view == View::wire) {
@@ -27,7 +29,7 @@ CGEMIT_FLATTEN void fill_slots(Group<T>& group, const Detector& detector, const 
         const MeasuringLayer& layer = detector.layers[static_cast<std::size_t>(slot.layer)];
         const double pitch = slot.view == View::x ? layer.pitch_x : layer.pitch_v;
         const T from_track =
-            cluster_variance(slot.size, slot.extent, pitch, settings.least_width, settings.delta_strips);
+            cluster_variance(slot.size, slot.extent, pitch, settings.least_width, delta_strips);
         slot.variance = select(slot.met & (slot.size > 0.0), from_track,
                                slot.variance + inclined_variance(layer, slot.extent));
       }

@@ -275,24 +275,24 @@ LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
   return line.result();
 }
 
-// kappa of a curvature; without a field that of a momentum.
-double kappa_of(const Detector& detector, double w, double tanl, double momentum) {
-  return is_straight(detector.bz) ? std::sqrt(1 + tanl * tanl) / momentum : w / curvature(detector.bz, 1.0);
+// kappa of a curvature; without a field that of a rigidity, p over the unsigned charge.
+double kappa_of(const Detector& detector, double w, double tanl, double rigidity) {
+  return is_straight(detector.bz) ? std::sqrt(1 + tanl * tanl) / rigidity : w / curvature(detector.bz, 1.0);
 }
 
 // The seed with the loss before the hits; not of a helix so close to a straight line that its curvature may
 // be due to the errors of the hits.
-Perigee corrected(const Detector& detector, const Perigee& helix, double middle, double mass) {
+Perigee corrected(const Detector& detector, const Perigee& helix, double middle, double mass, double charge) {
   constexpr double least_sagitta = 1;  // mm
   const bool bends = std::abs(curvature(detector.bz, helix.kappa)) * middle * middle > 2 * least_sagitta;
-  return bends ? before_loss(detector, helix, middle, mass) : helix;
+  return bends ? before_loss(detector, helix, middle, species_of(mass, charge, helix.kappa)) : helix;
 }
 
 // Track from the beam line with azimuth psi0 + w r/2 and z = z0 + tanl r, through wires with azimuth phi +
 // slope z: linear in (psi0, w/2, z0, tanl), with d = 0. For chambers with few axial layers. Where the track
 // bends much, azimuth and arc are corrected with the result: arcsin(w r/2) in place of w r/2.
 std::optional<Perigee> seed_from_azimuths(const Detector& detector, const WiresOfTrack& wires,
-                                          double momentum) {
+                                          double rigidity) {
   constexpr double error = 0.02;               // rad, half a cell
   constexpr double little = 0.2, most = 0.95;  // of w r/2
   // Weak constraints: curvature 1/300 mm, z0 300 mm, tanl 3.
@@ -326,7 +326,7 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, const WiresO
     if (!std::isfinite(found[1] + found[2] + found[3] + found[4])) return std::nullopt;
     if (std::abs(found[2]) * std::sqrt(wires.packs().back().layers.back()->waist) < little) break;
   }
-  const double kappa = kappa_of(detector, 2 * found[2], found[4], momentum);
+  const double kappa = kappa_of(detector, 2 * found[2], found[4], rigidity);
   return Perigee{0, wrap_angle(first + found[1]), kappa, found[3], found[4]};
 }
 
@@ -355,7 +355,7 @@ StepShape::Point<T> step_point(const Circle& c, double z0, double tanl, const T&
 
 // The helix near a first one that agrees with most of the hits. Empty if it misses many of them.
 std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hits, const WiresOfTrack& wires,
-                              const Perigee& from, double momentum) {
+                              const Perigee& from, double rigidity) {
   constexpr double sharp = 3;  // wire errors
   const Circle circle{curvature(detector.bz, from.kappa), from.d, std::cos(from.psi), std::sin(from.psi)};
   StepFit fit;
@@ -384,7 +384,7 @@ std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hit
   const auto [step, scale] = fit.near(Five<double>::zero());
   if (!step || !(scale < sharp)) return std::nullopt;
   const double tanl = from.tanl + (*step)[4];
-  const double kappa = is_straight(detector.bz) ? kappa_of(detector, 0, tanl, momentum)
+  const double kappa = is_straight(detector.bz) ? kappa_of(detector, 0, tanl, rigidity)
                                                 : from.kappa + (*step)[2] / curvature(detector.bz, 1.0);
   return Seed{{from.d + (*step)[0], wrap_angle(from.psi + (*step)[1]), kappa == 0 ? 1e-9 : kappa,
                from.z0 + (*step)[3], tanl},
@@ -394,9 +394,10 @@ std::optional<Seed> seed_near(const Detector& detector, std::span<const Hit> hit
 }  // namespace
 
 std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hits,
-                               std::span<const std::int8_t> sides, SeedFrom from, double mass,
+                               std::span<const std::int8_t> sides, SeedFrom from, double mass, double charge,
                                double momentum) {
   if (hits.empty()) return std::nullopt;
+  const double rigidity = momentum / charge;
   const auto radius = [&](const Hit& hit) {
     const auto index = static_cast<std::size_t>(hit.layer);
     return hit.view == View::wire ? std::sqrt(detector.wires[index].waist) : detector.layers[index].r_mid();
@@ -404,19 +405,19 @@ std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hi
   const double middle = 0.5 * (radius(hits.front()) + radius(hits.back()));
   if (from == SeedFrom::azimuths) {
     const WiresOfTrack wires(detector, hits, sides, false);
-    const auto first = seed_from_azimuths(detector, wires, momentum);
+    const auto first = seed_from_azimuths(detector, wires, rigidity);
     if (!first) return std::nullopt;
-    const Seed seed = seed_near(detector, hits, wires, *first, momentum).value_or(Seed{*first, HUGE_VAL});
-    return Seed{corrected(detector, seed.helix, middle, mass), seed.spread};
+    const Seed seed = seed_near(detector, hits, wires, *first, rigidity).value_or(Seed{*first, HUGE_VAL});
+    return Seed{corrected(detector, seed.helix, middle, mass, charge), seed.spread};
   }
   const auto [circle, scale] = find_circle(detector, hits, sides, from);
   if (!circle) return std::nullopt;
   const auto line = find_line(detector, hits, sides, from, *circle, scale).model;
   if (!line) return std::nullopt;
-  const double kappa = kappa_of(detector, circle->w, line->tanl, momentum);
+  const double kappa = kappa_of(detector, circle->w, line->tanl, rigidity);
   const Perigee helix{circle->d, std::atan2(circle->uy, circle->ux), kappa == 0 ? 1e-9 : kappa, line->z0,
                       line->tanl};
-  return Seed{corrected(detector, helix, middle, mass), wire_error * scale};
+  return Seed{corrected(detector, helix, middle, mass, charge), wire_error * scale};
 }
 
 }  // namespace cgemit

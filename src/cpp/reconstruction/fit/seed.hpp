@@ -23,12 +23,12 @@ struct Seed {
 };
 
 // The helix that agrees with most of the hits; the others may be wrong. `sides` (+1, -1, or 0 unknown), one
-// per hit, is the side on which the track passes the wire. `mass` (GeV) is used to correct for the energy
-// that a slow particle has lost before the hits. Without a field kappa is that of `momentum` (GeV/c) and of a
-// positive charge. Empty if there are fewer than three points for the circle or two for the line (azimuths:
-// five wires), or if no helix goes through them.
+// per hit, is the side on which the track passes the wire. `mass` (GeV) and `charge` (e, unsigned) are used
+// to correct for the energy that a slow particle has lost before the hits. Without a field kappa is that of
+// `momentum` (GeV/c) and of a positive charge. Empty if there are fewer than three points for the circle or
+// two for the line (azimuths: five wires), or if no helix goes through them.
 std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hits,
-                               std::span<const std::int8_t> sides, SeedFrom from, double mass,
+                               std::span<const std::int8_t> sides, SeedFrom from, double mass, double charge,
                                double momentum);
 
 }  // namespace cgemit

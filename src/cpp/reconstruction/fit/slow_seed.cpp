@@ -22,10 +22,10 @@ Kinematics before(const Slab& slab, double path, const Kinematics& after, const 
 
 }  // namespace
 
-Perigee before_loss(const Detector& detector, const Perigee& helix, double radius, double mass) {
+Perigee before_loss(const Detector& detector, const Perigee& helix, double radius, const Species& species) {
   const double sec_lambda = std::sqrt(1 + helix.tanl * helix.tanl);
-  Kinematics now(sec_lambda / std::abs(helix.kappa), mass, projectile_of(mass, helix.kappa));
-  if (now.is_light() || now.p > mass) return helix;
+  Kinematics now(species.charge * sec_lambda / std::abs(helix.kappa), species);
+  if (now.is_light() || now.p > now.mass) return helix;
   const TrackMatter track = total_matter(detector, helix.tanl);
   const double per_kappa = curvature(detector.bz, 1.0);
   HelixPoint point = closest_point(helix, per_kappa);

@@ -15,8 +15,10 @@ class States {
         trajectory_(space.trajectory),
         inward_(space.inward),
         smoothed_(space.smoothed),
-        context_{track.mass, total_matter(detector, track.reference.tanl), LocalMotion(detector)} {
-    follow(detector, track.reference, track.mass, track.matter_p, track.hits, track.kinks, trajectory_);
+        context_{track.mass, track.charge, total_matter(detector, track.reference.tanl),
+                 LocalMotion(detector)} {
+    follow(detector, track.reference, species_of(track.mass, track.charge, track.reference.kappa),
+           track.matter_p, track.hits, track.kinks, trajectory_);
     for (const Station& station : trajectory_.stations) {
       if (station.hit < 0) continue;
       const auto i = static_cast<std::size_t>(station.hit);
@@ -186,9 +188,10 @@ void fitted_states(const Detector& detector, const FittedTrack& track, std::span
   for (const Target& target : targets) states.append(target, out);
 }
 
-StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double radius, double from,
-                        double to) {
-  const PropagationContext context{mass, total_matter(detector, state.helix.tanl), LocalMotion(detector)};
+StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double charge,
+                        double radius, double from, double to) {
+  const PropagationContext context{mass, charge, total_matter(detector, state.helix.tanl),
+                                   LocalMotion(detector)};
   const StateStatus begun = context.motion.to_track(state);
   if (begun != StateStatus::ok) return begun;
   const double start = std::hypot(state.x, state.y);

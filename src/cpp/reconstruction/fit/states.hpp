@@ -41,8 +41,8 @@ struct FittedTrack {
   Perigee reference;
   std::span<const double> kinks;  // of the helix, two angles for every slab
   Matrix5 prior;                  // of the filter
-  double mass;
-  double matter_p;  // GeV/c, momentum in matter at the origin; 0: that of the helix
+  double mass, charge;            // GeV; e, unsigned
+  double matter_p;                // GeV/c, momentum in matter at the origin; 0: that of the helix
 };
 
 // Work space of a thread.
@@ -57,7 +57,7 @@ void fitted_states(const Detector& detector, const FittedTrack& track, std::span
 
 // Moves a state to a cylinder, outward or inward, and adds the noise of the matter between. The slab in which
 // the state begins is crossed from `from` on, and the slab of the target up to `to` (shares as in Target).
-StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double radius, double from,
-                        double to);
+StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double charge,
+                        double radius, double from, double to);
 
 }  // namespace cgemit

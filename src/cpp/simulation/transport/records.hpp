@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <vector>
 
 #include "matter/kinematics.hpp"
@@ -20,8 +21,9 @@ HelixPoint lane(const HelixPointOf<T>& p, int i) {
 inline const Kinematics& lane(const Kinematics& k, int) { return k; }
 template <class T>
 Kinematics lane(const KinematicsOf<T>& k, int i) {  // of heavy particles
-  return {lane(k.p, i), lane(k.mass, i),
-          lane(k.has_spin, i) > 0 ? Projectile::spin_half : Projectile::spinless};
+  return {lane(k.p, i),
+          {lane(k.mass, i), std::sqrt(lane(k.charge2, i)),
+           lane(k.has_spin, i) > 0 ? Projectile::spin_half : Projectile::spinless}};
 }
 
 // Crossings of one drift gap; the mask holds the particles with a recorded crossing.

@@ -70,8 +70,10 @@ struct StartOf {
 
   KinematicsOf<T> kinematics() const {
     const auto kind = [this](std::size_t row) { return projectile_of(in.mass[row], in.charge[row]); };
-    KinematicsOf<T> k(column([&](std::size_t row) { return std::hypot(in.px[row], in.py[row], in.pz[row]); }),
-                      column([&](std::size_t row) { return in.mass[row]; }), kind(rows[0]));
+    KinematicsOf<T> k(
+        column([&](std::size_t row) { return std::hypot(in.px[row], in.py[row], in.pz[row]); }),
+        {column([&](std::size_t row) { return in.mass[row]; }),
+         column([&](std::size_t row) { return std::abs(double(in.charge[row])); }), kind(rows[0])});
     k.has_spin = column([&](std::size_t row) { return kind(row) == Projectile::spin_half ? 1.0 : 0.0; });
     return k;
   }
