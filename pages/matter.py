@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 import cgemit as cg
 from pages import fit
 from pages.page import Found, Numbers, Page, share_of
@@ -36,7 +34,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Electron:
-    """Pull of a quantity of electrons of 1 GeV/c (core width, per cent beyond three), or their median momentum, GeV/c.
+    """Pull of a quantity of electrons of 1 GeV/c: core width, and per cent beyond three.
 
     `radiation` is the setting of the fit.
     """
@@ -71,8 +69,6 @@ def electrons(share: float) -> Numbers:
         pulls = cg.study.pulls(result)
         for name in ("kappa", "dz", "tanl"):
             rows.append(Electron(radiation, name, pulls[name].core, pulls[name].core_error, 100 * pulls[name].tail))
-        good = result.tracks["status"] == cg.FitStatus.ok
-        rows.append(Electron(radiation, "p", float(np.median(result.tracks["p"][good])), None, None))
     return Numbers(rows, {"events": f"{n:,} e-, |cos θ| < 0.8, seed {SEED}"})
 
 
@@ -83,7 +79,6 @@ def blocks(found: Found) -> dict[str, str]:
     screened = [widths[layer, SCREENINGS[1]].q68 / widths[layer, SCREENINGS[0]].q68 for layer in LAYERS]
     of_electrons = {(row.radiation, row.quantity): row for row in found["electrons"].rows}
     kappa = of_electrons[True, "kappa"]
-    lower = 1 - of_electrons[False, "p"].value / of_electrons[True, "p"].value
     return {
         "screening": _listed(screened, [matter for _, matter in LAYERS.values()]),
         "thin": _listed([row.core / row.q68 for row in plain], [text for text, _ in LAYERS.values()]),
@@ -91,7 +86,7 @@ def blocks(found: Found) -> dict[str, str]:
         **_choices(),
         "electrons": f"{kappa.value:.2f} with {kappa.tail:.0f} %",
         "electrons-z": " and ".join(f"{of_electrons[True, name].value:.2f}" for name in ("dz", "tanl")),
-        "lower": f"{100 * lower:.1f}",
+        "electrons-off": f"{of_electrons[False, 'kappa'].value:.2f}",
     }
 
 

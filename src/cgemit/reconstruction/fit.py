@@ -56,7 +56,8 @@ class FitSettings(SettingsData):
         Relative error of the momentum, for ``loss="truncated"``: collisions that lose more than 2.3 errors are seen as
         tails and do not count (docs/methods/matter.md). None: that of a muon of 1 GeV/c, at most 0.3 %.
     radiation : bool
-        Whether the energy loss of electrons and positrons includes bremsstrahlung (docs/methods/matter.md).
+        Whether the energy loss of electrons and positrons includes bremsstrahlung, cut as `loss` says like collisions
+        (docs/methods/matter.md).
     matter : bool
         Whether tracks scatter and lose energy in the fit (not in BES3's MdcTrack).
     start_radius : float

@@ -64,17 +64,21 @@ double light_restricted_loss(const Slab& slab, double path, const Kinematics& k,
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
   const double xi = slab.xi * path * k.charge2_per_beta2, track_xi = track.xi * k.charge2_per_beta2;
-  const double resolved = track.loss.share * k.p / k.per_beta, below = track.loss.mean * track_xi;
-  const double cut = std::min(below + resolved, k.w_max());
-  const double hardest = std::min(track.loss.variance * track_xi + resolved, k.w_max());
+  const double resolved = track.loss.share * k.p / k.per_beta;
+  const double wanted = track.loss.mean * track_xi + resolved,
+               wanted_variance = track.loss.variance * track_xi + resolved;
+  const double cut = std::min(wanted, k.w_max()), hardest = std::min(wanted_variance, k.w_max());
   const double bracket = std::max(light_bracket(slab, k, cut), 0.0);
+  // Photons are cut like collisions, but can take all energy.
   const double x0 = track.loss.radiation * slab.x0 * path;
-  const double radiated = radiated_mean * x0 * k.energy;
-  // Per ln(p) the bracket grows by 2, and by the growth of the cut.
-  const double grow = 2 + (below + resolved < k.w_max() ? resolved / cut : 0);
-  const double slope =
-      xi * (grow + log_term(slab, k.log_bg).slope) / k.p + radiated_mean * x0 * k.p / k.energy;
-  return {xi * bracket + radiated, xi * hardest + radiated_variance * x0 * k.energy * k.energy, slope};
+  const double share = std::min(wanted / k.energy, 1.0), mean = radiated_mean(share);
+  const double variance = radiated_variance(std::min(wanted_variance / k.energy, 1.0));
+  // Per ln(p) the bracket grows by 2, and by the growth of the cut; 1/beta^2 is nearly constant.
+  const double grow = 2 + (wanted < k.w_max() ? resolved / cut : 0);
+  const double growth = wanted < k.energy ? radiated_growth(share) : 0;
+  const double slope = xi * (grow + log_term(slab, k.log_bg).slope) / k.p +
+                       x0 * ((mean - share * growth) * k.p / k.energy + growth * resolved / k.p);
+  return {xi * bracket + x0 * k.energy * mean, xi * hardest + x0 * k.energy * k.energy * variance, slope};
 }
 
 }  // namespace cgemit

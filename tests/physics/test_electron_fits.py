@@ -1,0 +1,77 @@
+"""Fits of electrons: momenta and errors describe the core, tracks that radiate hardly anything before the last hit."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import cgemit as cg
+from cores import Core, core_of, mode_of
+from stats import assert_within
+
+N = 4000
+PULLS = ("dr", "phi0", "kappa", "dz", "tanl")
+
+
+class Fitted(NamedTuple):
+    """Expected relative error of the momentum, ratios of fitted and true momenta, and cores of the pulls."""
+
+    expected: float
+    ratio: np.ndarray
+    pulls: dict[str, Core]
+
+
+@cache
+def fitted(detector: str, particle: str, p: float, loss: str = "truncated") -> Fitted:
+    """Return fits of electrons across the beam."""
+    settings = cg.Settings(fit=cg.FitSettings(loss=loss))
+    result = cg.run(detector, cg.Gun(particle, p=p, cos_theta=0.0), N, seed=45, settings=settings)
+    good = result.tracks["status"] == cg.FitStatus.ok
+    expected = cg.analytic(detector, particle, p=p, cos_theta=0.0, fit=settings.fit).sigma("p") * 1e-3 / p
+    pulls = {name: core_of(result.matches[f"pull_{name}"][good]) for name in PULLS}
+    return Fitted(float(expected), np.asarray(result.tracks["p"][good]) / p, pulls)
+
+
+def core_is_expected(found: Fitted) -> None:
+    """The expected error is that of the core, within 3 % beside the statistical error."""
+    core = core_of(found.ratio)
+    assert_within(core.width, found.expected, np.hypot(core.error, 0.01 * found.expected), 3.0, "core of p")
+
+
+def mode_is_true(found: Fitted) -> None:
+    """The most probable momentum is the true one, within a tenth of the error."""
+    assert abs(mode_of(found.ratio, found.expected) - 1) < 0.1 * found.expected
+
+
+def pulls_are_standard(found: Fitted) -> None:
+    """Pulls have cores of width 1 about 0."""
+    for name, pull in found.pulls.items():
+        assert abs(pull.width - 1) < 0.07, name
+        assert abs(pull.mean) < 0.12, name  # photons before the first hit turn phi0 and d_rho
+
+
+GATES = (core_is_expected, mode_is_true, pulls_are_standard)
+
+
+@pytest.mark.parametrize("particle", ["e-", "e+"])
+@pytest.mark.parametrize(("detector", "p"), [("besiii-cgem", 1.0), ("besiii-idc", 1.0)])
+@pytest.mark.parametrize("gate", GATES)
+def test_the_core_of_electrons(detector, particle, p, gate):
+    gate(fitted(detector, particle, p))
+
+
+@pytest.mark.parametrize("gate", GATES)
+def test_all_radiation_spoils_the_core(gate):
+    """A fit that takes mean and variance of all photons passes no gate."""
+    with pytest.raises(AssertionError):
+        gate(fitted("besiii-cgem", "e-", 1.0, "mean"))
+
+
+def test_most_electrons_are_near_the_truth():
+    """At 1 GeV/c four of five are within 1 %; with the mean loss of all photons one of six is."""
+    near = [np.mean(np.abs(fitted("besiii-cgem", "e-", 1.0, loss).ratio - 1) < 0.01) for loss in ("truncated", "mean")]
+    assert near[0] > 0.78
+    assert near[1] < 0.2
