@@ -10,6 +10,7 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
+from cgemit.analysis.widths import measure
 from cgemit.fit_matter import tuned
 from cgemit.helix import RADIUS_PER_KAPPA
 from pages import presets
@@ -543,3 +544,35 @@ def test_straggling_follows_the_momentum_resolution_of_the_detector(p: float) ->
     """The core of the error of kappa with all collisions is the expected one; that of a coarser tracker is wider."""
     assert expected_over_simulated(p) == pytest.approx(1, abs=0.05)
     assert expected_over_simulated(p, momentum_error=0.003) > 1.1
+
+
+WITHOUT_DECAYS = cg.Settings(simulate=cg.SimulateSettings(decays=False))
+FOUR = {
+    "base": "besiii-cgem-design", "name": "four-readouts",
+    "layer": {"VTX": {"radius": "50 mm", "sigma": "20 um", "x0": 0.001, "material": "Si", "length": "600 mm"}},
+    "cgem": {"L1": {"readout": "tiger"}, "L2": {"readout": "apv25"}, "L3": {"readout": "gaussian"}},
+}  # fmt: skip
+
+
+def pulls_are_one(tracks: Any) -> bool:
+    """Tell whether core widths of all pulls are 1 within 3 % and 3 standard errors."""
+    good = tracks["status"] == 0
+    found = [measure(tracks[f"pull_{name}"][good]) for name in PARAMETERS]
+    return all(abs(one.core - 1) < 0.03 + 3 * one.core_error for one in found)
+
+
+@pytest.mark.parametrize(("p", "cos_theta"), [(1.0, 0.0), (0.4, 0.5)])
+def test_silicon_two_chips_positions_and_wires_in_one_detector(p: float, cos_theta: float) -> None:
+    """Pulls and expected over simulated widths as with one readout; a fit with other errors of one layer fails."""
+    detector, gun = cg.load(FOUR), cg.Gun("mu-", p=p, cos_theta=cos_theta)
+    assert [group.readout.name for group in detector.groups] == ["positions", "tiger", "apv25", "gaussian"]
+    result = cg.run(detector, gun, 1500, seed=5, settings=WITHOUT_DECAYS)
+    assert pulls_are_one(result.tracks)
+    expected = cg.analytic(detector, "mu-", p, cos_theta)
+    for name in ("dr", "dz", "p"):
+        width = cg.resolution(result.tracks, name)
+        assert float(expected.sigma(name)) / width.core == pytest.approx(
+            1, abs=0.03 + 3 * width.core_error / width.core
+        )
+    wrong = detector.with_overrides({"cgem.L3.readout.sigma_x": "30 um"})
+    assert not pulls_are_one(cg.run(detector, gun, 1500, seed=5, settings=WITHOUT_DECAYS, fit_detector=wrong).tracks)
