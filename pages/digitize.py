@@ -15,7 +15,7 @@ def blocks(found: Found) -> dict[str, str]:
     layers = [design.with_overrides({"cgem.*.drift_gap": f"{gap} mm"}).cgem[0] for gap in GAPS]
     return {
         "lost": ", ".join(
-            f"{100 * most_lost(layer, 1):.0f} % at {gap:g} mm" for gap, layer in zip(GAPS, layers, strict=True)
+            f"{100 * most_lost(layer):.0f} % at {gap:g} mm" for gap, layer in zip(GAPS, layers, strict=True)
         )
     }
 

@@ -151,7 +151,7 @@ def test_factors_of_a_readout() -> None:
     assert errors_of(OwnFactors()).diffusion == 2.5
     assert error_inputs(DESIGN, OwnFactors()).chip["diffusion"] == 2.5
     with pytest.raises(ValueError, match="got readout 'no-factors', expected one of tiger, apv25"):
-        cluster(DESIGN, digis_of(np.arange(3), np.full(3, 9.0), np.full(3, EARLIEST + 80)), readout=NoFactors())
+        error_inputs(DESIGN, NoFactors())
 
 
 WAYS = [("merged", True), ("merged", False), ("micro-tpc", False), ("centroid", False)]
