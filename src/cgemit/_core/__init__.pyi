@@ -405,6 +405,7 @@ def fit(
     residuals: bool,
     states: bool = False,
 ) -> dict[str, _Array]: ...
+def circle_layers(*, axial: int, across: int, single: bool, least_axial: int) -> int: ...
 def find_tracks(
     detector: Detector,
     *,

@@ -15,8 +15,10 @@ from cgemit.chain.result import Result
 from cgemit.chain.settings import finder_of
 from cgemit.detector.inventory import channels as strips
 from cgemit.reconstruction.candidates import HIT_V, HIT_X
+from cgemit.reconstruction.find.ckf import SeedLayers, have_seeds, wire_layers
 from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.find.truth import have_flown, own_clusters, particle_rows
+from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
 from cgemit.tables.show import Shown
 
@@ -39,6 +41,8 @@ class ParticleCounts(NamedTuple):
         Cells of the drift chamber, and of its stereo layers alone.
     hits : ndarray, int64
         Crossings of a gap with a cluster, counted per view, and cells.
+    layers : SeedLayers
+        Layers with these measurements, as a seed of the finder needs them.
     """
 
     x_layers: Rows
@@ -47,6 +51,7 @@ class ParticleCounts(NamedTuple):
     wires: Rows
     stereo: Rows
     hits: Rows
+    layers: SeedLayers
 
 
 #: Cosine of the stereo angle of V strips that measure z alone.
@@ -75,14 +80,20 @@ def count_particles(result: Result) -> ParticleCounts:
     sign = np.where(np.abs(np.cos(stereo_angle)) > _ALONG, np.sign(stereo_angle), 0)
     crossed = np.minimum(v[:, sign > 0].sum(axis=1), v[:, sign < 0].sum(axis=1))
     of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
+    tilted = np.array([layer.twist != 0 for layer in wire_layers(result.detector)], np.bool_)
+    fired = np.zeros((n, len(tilted)), np.bool_)
     on = of_wire.first
-    chamber = result.detector.drift_chamber
-    tilted = [layer.number for layer in chamber.layers if layer.twist != 0] if chamber else []
-    wires, stereo = (
-        np.bincount(of_wire.owner[which], minlength=n) for which in (on, on & np.isin(wire_hits["layer"], tilted))
-    )
+    numbers = [layer.number for layer in wire_layers(result.detector)]
+    owner, layer = of_wire.owner[on], np.searchsorted(numbers, wire_hits["layer"][on])
+    fired[owner, layer] = True
+    wires, stereo = (np.bincount(owner[which], minlength=n) for which in (slice(None), tilted[layer]))
     crossings = np.bincount(of_truth.owner[truth], minlength=n)
-    return ParticleCounts(x.sum(axis=1), v.sum(axis=1), crossed, wires, stereo, (crossings + wires).astype(np.int64))
+    axial_layers, stereo_layers = (fired[:, which].sum(axis=1) for which in (~tilted, tilted))
+    across, along = x.sum(axis=1), v.sum(axis=1)
+    return ParticleCounts(
+        across, along, crossed, wires, stereo, (crossings + wires).astype(np.int64),
+        SeedLayers(x & v, axial_layers + across, stereo_layers + along),
+    )  # fmt: skip
 
 
 class _Origins(NamedTuple):
@@ -163,9 +174,14 @@ class FindingRates:
     clones : Fraction
         Further candidates of a particle, among all that belong to particles.
     decays : Fraction
-        Candidates of the daughters of a decay, the parent having its own, among all.
+        Candidates of the daughters of a decay, among all.
     loops : Fraction
         Loop clones among all candidates: most of their own hits are on later half turns.
+    short : Fraction
+        Matched candidates cut short: with less than half of their particle's measurements.
+    wrong_z : Fraction
+        Matched tracks wrong in z, among those that were fitted (status `ok`): d_z or tan(lambda) is more than 8 errors
+        from the particle's, with every mass hypothesis. Without fitted tracks, none of none.
 
     Examples
     --------
@@ -180,6 +196,8 @@ class FindingRates:
     clones: Fraction
     decays: Fraction
     loops: Fraction
+    short: Fraction
+    wrong_z: Fraction
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,6 +214,11 @@ class Finding(Shown):
     classes : mapping of str to ndarray, (candidates,) int8
         By definition, ``"belle2"`` or ``"acts"``: `MatchStatus` of each candidate.
     charged, findable : ndarray, (particles,) bool
+    seedless : ndarray, (particles,) bool
+        Findable particles that left measurements only in layers in which no seed of `find_tracks` can be made, with the
+        settings of the run.
+    fitted, wrong_z : ndarray, (candidates,) bool
+        Candidates with a fitted track (status `ok`), and those of them that are wrong in z (`FindingRates`).
     removed : mapping of str to int
         Charged particles that are not findable, by reason.
     pt, cos_theta, phi, distance : ndarray, (particles,) float64
@@ -221,6 +244,9 @@ class Finding(Shown):
     classes: Mapping[str, npt.NDArray[np.int8]]
     charged: Flags
     findable: Flags
+    seedless: Flags
+    fitted: Flags
+    wrong_z: Flags
     removed: Mapping[str, int]
     pt: Floats
     cos_theta: Floats
@@ -258,12 +284,15 @@ class Finding(Shown):
         which = self.findable if among is None else self.findable & np.asarray(among, np.bool_)
         classes = self.classes[definition]
         known, clone = classes != MatchStatus.no_hits, classes == MatchStatus.clone
+        matched, counts = classes == MatchStatus.matched, self.candidates
         return FindingRates(
             efficiency=_fraction(self.found(definition), which),
             fakes=_fraction(classes == MatchStatus.fake, known),
-            clones=_fraction(clone, (classes == MatchStatus.matched) | clone),
+            clones=_fraction(clone, matched | clone),
             decays=_fraction(classes == MatchStatus.decay_daughter, known),
             loops=_fraction(classes == MatchStatus.other_half_turn, known),
+            short=_fraction(2 * counts.found < counts.left, matched),
+            wrong_z=_fraction(self.wrong_z, matched & self.fitted),
         )
 
     @property
@@ -297,12 +326,15 @@ class Finding(Shown):
         rows = [("finder", self.finder), ("detector", self.detector)]
         share = _fraction(self.findable, self.charged)
         rows += [("findable", str(share)), *((f"  without: {name}", f"{n:,}") for name, n in self.removed.items())]
+        rows.append(("findable, in layers that make no seed", f"{np.count_nonzero(self.seedless):,}"))
         for definition, name in (("belle2", "Belle II"), ("acts", "ACTS")):
             of = self.rates(definition)  # type: ignore[arg-type]
             rows += [(f"efficiency ({name})", str(of.efficiency)), (f"fakes ({name})", str(of.fakes))]
             rows += [(f"clones ({name})", str(of.clones))]
         rows.append(("tracks of decay products", str(self.rates().decays)))
         rows.append(("loop clones", str(self.rates().loops)))
+        rows.append(("matched tracks cut short", str(self.rates().short)))
+        rows.append(("matched tracks wrong in z", str(self.rates().wrong_z)))
         rows += [("hit purity", f"{100 * self.purity:.2f} %"), ("hit efficiency", f"{100 * self.hit_efficiency:.2f} %")]
         return rows
 
@@ -341,6 +373,8 @@ def finding(result: Result) -> Finding:
     particles = result.particles
     charged = have_flown(particles)
     findable, removed = findable_of(of_particle, charged)
+    seeds = have_seeds(result.fit_detector or result.detector, of_particle.layers, result.settings.find)
+    fitted, wrong_z = _wrong_in_z(result)
     px, py, pz = (particles[f"p{axis}"] for axis in "xyz")
     pt = np.hypot(px, py)
     return Finding(
@@ -351,6 +385,9 @@ def finding(result: Result) -> Finding:
         classes={"belle2": belle2(of_candidate), "acts": acts(of_candidate)},
         charged=charged,
         findable=findable,
+        seedless=findable & ~np.any(seeds, axis=0),
+        fitted=fitted,
+        wrong_z=wrong_z,
         removed=removed,
         pt=pt,
         cos_theta=pz / np.maximum(np.hypot(pt, pz), 1e-300),
@@ -359,6 +396,22 @@ def finding(result: Result) -> Finding:
         tracks=_of_event(particles, particles["event"][findable]),
         occupancy=_occupancy(result),
     )
+
+
+#: Errors of the fit; pulls beyond are no fluctuations.
+_WRONG = 8.0
+
+
+def _wrong_in_z(result: Result) -> tuple[Flags, Flags]:
+    """Return which candidates have fitted tracks, and which of these are wrong in z; both (candidates,) bool."""
+    n = len(result.candidates)
+    if "matches" not in result.tables:
+        return np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    tracks, matches = result.fitted, result.matches
+    ok = tracks["status"] == FitStatus.ok
+    near = np.abs([matches[f"pull_{name}"] for name in ("dz", "tanl")]).max(axis=0) <= _WRONG
+    fitted, right = (np.bincount(tracks["candidate"][which], minlength=n) > 0 for which in (ok, ok & near))
+    return fitted, fitted & ~right
 
 
 def _of_event(particles: Table, rows: Rows) -> Rows:

@@ -28,9 +28,10 @@ Statuses = npt.NDArray[np.int8]
 class MatchStatus(enum.IntEnum):
     """Class of a candidate or track by its hits; 0 is the one that measures its particle.
 
-    ``clone``: a further one of a particle. ``decay_daughter``: a further one, with hits mostly of the particle's
-    charged daughters. ``other_half_turn``: with hits mostly of other half turns than the first outward one. ``fake``:
-    of no particle, or with too few hits of one. ``no_hits``: without hits.
+    ``clone``: a further one of a particle. ``decay_daughter``: with hits mostly of the particle's charged daughters,
+    a further one or one with too few hits of the particle itself. ``other_half_turn``: with hits mostly of other half
+    turns than the first outward one. ``fake``: of no particle, or with too few hits of one. ``no_hits``: without
+    hits.
 
     Examples
     --------
@@ -155,14 +156,18 @@ def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
 def belle2(of: CandidateCounts) -> Statuses:
     """Return the `MatchStatus` of each candidate by the definition of Belle II, (candidates,) int8.
 
-    A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's measurements.
+    A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's measurements. With fewer
+    it is a decay product's if most of these hits are those of daughters.
 
     Parameters
     ----------
     of : CandidateCounts
     """
-    enough = (20 * of.found >= of.left) | _loops(of)
-    return _classes(of, (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & enough & (of.hits > 0))
+    own = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & (of.hits > 0)
+    enough = (20 * of.found >= of.left) & ~((of.found == 0) & _daughters(of)) | _loops(of)
+    classes = _classes(of, own & enough)
+    classes[own & ~enough & _daughters(of)] = MatchStatus.decay_daughter
+    return classes
 
 
 def acts(of: CandidateCounts) -> Statuses:
@@ -182,6 +187,11 @@ def _loops(of: CandidateCounts) -> Flags:
     return 2 * of.of_loops > of.of_particle
 
 
+def _daughters(of: CandidateCounts) -> Flags:
+    """Return which candidates have most of their particle's hits from its daughters."""
+    return 2 * of.of_daughters > of.of_particle
+
+
 def _classes(of: CandidateCounts, good: Flags) -> Statuses:
     """Return the class of each candidate; of several of a particle the one with most of its hits is matched."""
     classes = np.where(of.hits > 0, MatchStatus.fake, MatchStatus.no_hits).astype(np.int8)
@@ -189,8 +199,7 @@ def _classes(of: CandidateCounts, good: Flags) -> Statuses:
     rows = np.flatnonzero(good & ~_loops(of))
     order = rows[np.lexsort((rows, -of.found[rows], of.particle[rows]))]
     first = np.diff(of.particle[order], prepend=-1) != 0
-    daughters = 2 * of.of_daughters[order] > of.of_particle[order]
-    classes[order] = np.where(daughters, MatchStatus.decay_daughter, MatchStatus.clone)
+    classes[order] = np.where(_daughters(of)[order], MatchStatus.decay_daughter, MatchStatus.clone)
     classes[order[first]] = MatchStatus.matched
     return classes
 

@@ -15,7 +15,7 @@ from cgemit.chain.record import Run, gun_data, read_run, record, write_about
 from cgemit.chain.settings import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
-from cgemit.reconstruction.find.ckf import BEYOND
+from cgemit.reconstruction.find.ckf import BEYOND, seedless
 from cgemit.simulation.transport import transport_counts
 from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.check import refuse_wrong
@@ -324,6 +324,8 @@ class Result:
         rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
         if self.finder is not None:
             rows.append(("hits", hits_by(self.finder)))
+        if self.finder == "ckf" and (missing := seedless(self.fit_detector or self.detector, self.settings.find)):
+            rows.append(("seeds", missing))
         if beyond := self.beyond_search():
             rows.append(("search", f"{beyond:,} {'event' if beyond == 1 else 'events'} beyond the search"))
         rows.append(("time", f"{self.timings['wall']:.2f} s"))

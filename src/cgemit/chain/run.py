@@ -53,6 +53,7 @@ from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
 from cgemit.reconstruction.find import FINDERS, Truths
+from cgemit.reconstruction.find.ckf import warn_of_no_seeds
 from cgemit.reconstruction.reconstruct import turns
 from cgemit.reconstruction.refine import Hits
 from cgemit.simulation.background import add_background
@@ -365,6 +366,8 @@ def _checked(
     found.report("run")
     if until in STAGES[2:]:
         warn_of_losses(simulated)
+    if until in STAGES[3:] and finder == "ckf":
+        warn_of_no_seeds(assumed, given.find)
     shooter, n_events, table, events = source
     return Job(simulated, assumed, shooter, table, events, given, seed, finder, until, kept), n_events
 

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Simulate events, find their tracks, and compare them with the particles: efficiency, fakes and clones as Belle II and
-ACTS define them, hit purity and hit efficiency, the share of findable particles and what each condition removes.
-With simulate.half_turns above 1, tracks are also fitted, and half turns of one particle linked.
+ACTS define them, tracks cut short or wrong in z, hit purity and hit efficiency, the share of findable particles and
+what each condition removes, and layers that make no seed.
+With simulate.half_turns above 1, half turns of one particle are also linked.
 With -o also the efficiency against pT, cos(theta), phi and, where they vary, the number of findable particles in the
 event, the occupancy of the cells (without a chamber of the strips) and the distance of the vertex from the beam line,
 as picture (efficiency.png) and table (efficiency.csv)."""
@@ -63,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.base.files import check_free
     from cgemit.chain import run
     from cgemit.particles.gun import Guns
+    from cgemit.reconstruction.find.ckf import seedless
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
@@ -78,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.seed,
             settings=settings,
             finder=arguments.finder,
-            until="fit" if links else "find",
+            until="fit",
             progress=progress,
             workers=arguments.threads,
         )
@@ -96,6 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(found, text, arguments.output, overwrite=arguments.overwrite)
     rows = [] if linked is None else linked.rows()
+    missing = seedless(result.fit_detector or result.detector, settings.find) if result.finder == "ckf" else ""
+    rows += [("layers without seeds", missing)] * bool(missing)
     rows.append(("events beyond the search", f"{result.beyond_search():,}"))
     rows.append(("time of an event", f"{1e3 * seconds / arguments.events:.2f} ms"))
     options.say(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
@@ -109,11 +113,15 @@ def numbers_of(found: Finding) -> dict[str, Any]:
     from cgemit.analysis.widths import Fraction
 
     findable = Fraction(int(found.findable.sum()), int(found.charged.sum()))
-    numbers: dict[str, Any] = {"finder": found.finder, "findable": _plain(findable), "removed": dict(found.removed)}
+    numbers: dict[str, Any] = {
+        "finder": found.finder, "findable": _plain(findable), "removed": dict(found.removed),
+        "seedless": int(found.seedless.sum()),
+    }  # fmt: skip
     for definition in ("belle2", "acts"):
         rates = found.rates(definition)
         numbers[definition] = {
-            name: _plain(getattr(rates, name)) for name in ("efficiency", "fakes", "clones", "decays", "loops")
+            name: _plain(getattr(rates, name))
+            for name in ("efficiency", "fakes", "clones", "decays", "loops", "short", "wrong_z")
         }
     for name in ("purity", "hit_efficiency"):
         value = getattr(found, name)
@@ -146,6 +154,7 @@ def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
     columns |= {name: np.concatenate([one[name] for one in curves.values()]) for name in next(iter(curves.values()))}
     rates = found.rates()
     lines = [f"efficiency {rates.efficiency}", f"fakes {rates.fakes.count}", f"clones {rates.clones.count}"]
+    lines += [f"cut short {rates.short.count}", f"wrong in z {rates.wrong_z.count}"]
     lines += [f"hit purity {100 * found.purity:.2f} %", f"hit efficiency {100 * found.hit_efficiency:.2f} %"]
     with new_folder(folder, overwrite=overwrite) as place:
         title = f"{found.detector}, finder {found.finder}, findable particles, Belle II matching"

@@ -10,7 +10,8 @@ from cgemit.cli import options
 
 DESCRIPTION = """\
 Check detector files and list every problem: where it is, what was given, what was expected. Of a good file, say what
-part of a layer no track from the origin reaches, since the field map ends there.
+part of a layer no track from the origin reaches, since the field map ends there, and in which layers the finder ckf
+begins no track.
 Exit code 0 if all files are good, 2 otherwise."""
 
 EXAMPLES = """\
@@ -31,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.base.errors import DetectorError
     from cgemit.detector import load, schema
     from cgemit.detector.check import unreachable
+    from cgemit.reconstruction.find.ckf import seedless
 
     if not arguments.files and not arguments.schema:
         raise options.InputError("validate: got no file; expected at least one FILE, or --schema")
@@ -47,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
             # The schema on stdout must stay clean JSON.
             stream = sys.stderr if arguments.schema else sys.stdout
             options.say(f"{file}: good (detector {detector.name!r})", stream)
-            for line in unreachable(detector):
+            missing = seedless(detector)
+            for line in [*unreachable(detector), *([f"finder ckf: {missing}"] if missing else [])]:
                 options.say(f"  {line}", stream)
     return code

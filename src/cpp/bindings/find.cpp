@@ -87,6 +87,9 @@ py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_off
 }  // namespace
 
 void bind_find(py::module_& module) {
+  module.def("circle_layers", &circle_layers, py::kw_only(), py::arg("axial"), py::arg("across"),
+             py::arg("single"), py::arg("least_axial"),
+             "Return how many layers a circle from the beam line needs where no cells fire by chance.");
   module.def(
       "find_tracks", &run_find, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
       py::arg("settings"), py::arg("pairs") = py::dict(),

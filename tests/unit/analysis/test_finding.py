@@ -119,6 +119,100 @@ def test_a_track_with_less_than_a_twentieth_of_a_particle_is_a_fake_for_belle_ii
     assert classes(finding, "acts")[0] == "matched"
 
 
+def test_a_piece_of_a_decay_is_no_fake(run):
+    """Of a particle that left its clusters, the hits of a daughter alone: none of the particle's measurements."""
+    of_first = run.wire_truths["event"] == 0
+    daughters = run.wire_truths.with_columns(daughter=of_first.astype("i4"))
+    decayed = replace(run, tables=run.tables | {"wire_truths": daughters})
+    hits = run.candidate_hits
+    kept = (hits["candidate"] != 0) | (hits["view"] == HIT_WIRE)
+    finding = cg.study.finding(changed(decayed, hits["candidate"], kept))
+    assert (finding.candidates.found[0], finding.candidates.left[0]) == (0, 6)
+    assert classes(finding) == ["decay_daughter"] + ["matched"] * 3
+    rates = finding.rates()
+    assert (rates.decays, rates.fakes, rates.clones) == (Fraction(1, 4), Fraction(0, 4), Fraction(0, 3))
+    assert rates.efficiency == Fraction(3, 4)
+    # With a twentieth of the particle's own, it is the particle's track, or a further one.
+    assert classes(cg.study.finding(decayed)) == ["matched"] * 4
+
+
+@pytest.mark.parametrize(("share", "short"), [(0.45, 1), (0.55, 0)])
+def test_tracks_with_less_than_half_of_their_particle_are_cut_short(run, share, short):
+    kept = np.ones(len(run.candidate_hits), np.bool_)
+    mine = np.flatnonzero(run.candidate_hits["candidate"] == 2)
+    kept[mine[int(share * len(mine)) :]] = False
+    rates = cg.study.finding(changed(run, run.candidate_hits["candidate"], kept)).rates()
+    assert (rates.short, rates.efficiency) == (Fraction(short, 4), Fraction(4, 4))
+
+
+@pytest.mark.parametrize(
+    ("columns", "wrong", "fitted"),
+    [
+        ({}, 0, 4),
+        ({"pull_dz": -8.5}, 1, 4),
+        ({"pull_tanl": 8.5}, 1, 4),
+        ({"pull_dz": 7.5}, 0, 4),
+        ({"pull_dr": 9.0}, 0, 4),
+    ],
+)
+def test_tracks_wrong_in_z_are_those_beyond_eight_errors(columns, wrong, fitted):
+    gun = cg.Gun("mu-", p=0.5, cos_theta=(-0.5, 0.5))
+    result = cg.run("besiii-cgem", gun, n=4, settings=cg.Settings(simulate=cg.SimulateSettings(decays=False)))
+
+    def rates(**tables):
+        return cg.study.finding(replace(result, tables=result.tables | tables)).rates()
+
+    one = {name: np.where(np.arange(4) == 1, value, result.matches[name]) for name, value in columns.items()}
+    moved = result.matches.with_columns(**one)
+    assert rates(matches=moved).wrong_z == Fraction(wrong, fitted)
+    lost = result.fitted.with_columns(status=np.array([0, 1, 0, 0], np.int8))
+    assert rates(matches=moved, tracks=lost).wrong_z == Fraction(0, 3)
+
+
+def test_no_track_is_wrong_in_z_before_the_fit(run):
+    assert cg.study.finding(run).rates().wrong_z == Fraction(0, 0)
+
+
+ALL_STEREO = {
+    "name": "stereo", "field": {"bz": "1 T"},
+    "drift_chamber": {
+        "gas": "HePropane", "half_length": "1000 mm", "sigma": "150 um", "wires": "none",
+        "superlayers": {
+            name: {"layers": 6, "r_in": f"{r} mm", "cells": "12 mm", "stereo": angle}
+            for name, r, angle in (("U", 250, "60 mrad"), ("V", 400, "-60 mrad"))
+        },
+    },
+    "materials": {
+        "HePropane": {"density": "0.84e-3 g/cm3", "composition": {"He": 0.12, "C": 0.72, "H": 0.16}, "gas": True}
+    },
+}  # fmt: skip
+
+
+def test_findable_particles_in_layers_without_seeds_are_counted():
+    muon = cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3))
+    with pytest.warns(UserWarning, match="stereo: finder ckf: no track can begin: circles need 6 layers"):
+        nowhere = cg.run(ALL_STEREO, muon, n=5, finder="ckf")
+    found = cg.study.finding(nowhere)
+    assert found.findable.sum() == found.seedless.sum() == 5
+    assert found.rates().efficiency == Fraction(0, 5)
+    assert ("findable, in layers that make no seed", "5") in found.rows()
+    assert "seeds     no track can begin: circles need 6 layers with axial wires or X (got 0)" in repr(nowhere)
+    assert "no track can begin" not in repr(cg.run(ALL_STEREO, muon, n=1))  # the perfect finder needs none
+
+
+def test_particles_from_behind_the_cgem_have_no_seeds_where_wires_make_none():
+    inside = cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3))
+    outside = cg.Gun("mu-", p=1.0, theta=np.pi / 2, phi=0.1, vertex=("240 mm", 0, 0))
+    result = cg.run("kloe2-like", inside + outside, n=5, seed=3, finder="ckf", until="find")
+    found = cg.study.finding(result)
+    assert found.findable.all()
+    assert found.seedless.reshape(5, 2).sum(axis=0).tolist() == [0, 5]
+    assert not found.found()[found.seedless].any()
+    assert "seeds     no track begins in wires alone: it needs X and V in two of L1, L2, L3, L4, since" in repr(result)
+    own = cg.study.finding(cg.run("besiii-cgem", outside, n=5, seed=3, finder="ckf", until="find"))
+    assert not own.seedless.any()
+
+
 def test_noise_counts_in_the_purity_and_belongs_to_no_particle(run):
     hits = run.wire_hits
     noisy = replace(run, tables=run.tables | {"wire_hits": hits.with_columns(wire_truth=np.full(len(hits), -1))})
@@ -167,7 +261,9 @@ def test_particles_without_enough_hits_are_not_findable_and_the_reason_is_counte
 )
 def test_coordinates_that_make_a_particle_findable(x, v, crossed, wires, expected):
     columns = {"x_layers": x, "v_layers": v, "crossed": crossed, "wires": wires, "stereo": wires // 3}
-    of = ParticleCounts(**{name: np.array([n]) for name, n in columns.items()}, hits=np.array([x + v + wires]))
+    of = ParticleCounts(
+        **{name: np.array([n]) for name, n in columns.items()}, hits=np.array([x + v + wires]), layers=None
+    )
     findable, removed = findable_of(of, np.array([True]))
     assert findable.tolist() == [expected]
     assert sum(removed.values()) == (not expected)

@@ -31,6 +31,19 @@ def test_the_command_prints_what_python_gives(capsys):
     assert numbers["purity"] == found.purity
     assert numbers["finder"] == "ckf"
     assert numbers["removed"] == found.removed
+    assert numbers["belle2"]["wrong_z"]["n"] == numbers["belle2"]["short"]["n"] == len(found.candidates.hits) == 40
+
+
+def test_layers_without_seeds_are_told(capsys):
+    line = ["find", "-d", "kloe2-like", "--p", "1", "--cos-theta", "-0.3:0.3", "-n", "5", "--quiet"]
+    assert main(line) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"layers without seeds +no track begins in wires alone", printed)
+    assert re.search(r"findable, in layers that make no seed +0", printed)
+    assert main([*line, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["seedless"] == 0
+    assert main([*LINE]) == 0
+    assert "layers without seeds" not in capsys.readouterr().out
 
 
 def test_files_hold_the_numbers_of_the_run(tmp_path, capsys, monkeypatch):
@@ -60,6 +73,9 @@ def test_files_hold_the_numbers_of_the_run(tmp_path, capsys, monkeypatch):
     label = " ".join(part.get_text() for part in pictures[0].texts)
     assert re.findall(r"(fakes|clones) (\d+)", label) == [
         ("fakes", str(rates.fakes.count)), ("clones", str(rates.clones.count)),
+    ]  # fmt: skip
+    assert re.findall(r"(cut short|wrong in z) (\d+)", label) == [
+        ("cut short", str(rates.short.count)), ("wrong in z", str(rates.wrong_z.count)),
     ]  # fmt: skip
     assert f"hit purity {100 * found.purity:.2f} " in label
     assert f"hit efficiency {100 * found.hit_efficiency:.2f} " in label

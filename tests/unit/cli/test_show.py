@@ -141,6 +141,17 @@ def test_show_reports_problems() -> None:
         call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x")
 
 
+def test_validate_tells_layers_in_which_no_track_begins(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("validate", "kloe2-like", "besiii-cgem") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("kloe2-like: good")
+    assert lines[1].startswith(
+        "  finder ckf: no track begins in wires alone: it needs X and V in two of L1, L2, L3, L4"
+    )
+    assert lines[2].startswith("besiii-cgem: good")
+    assert len(lines) == 3
+
+
 def test_validate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
     good.write_text('base = "besiii-idc"', encoding="utf-8")

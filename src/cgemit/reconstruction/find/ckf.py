@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, NamedTuple
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
-from cgemit.detector import Detector, MeasurementLayer, load
+from cgemit.detector import Detector, MeasurementLayer, WireLayer, load
 from cgemit.detector.channels import checked
 from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
@@ -122,6 +123,113 @@ class SearchLimits(enum.IntFlag):
 #: Limits behind which tracks may be left. Circles are tried in the order of their layers: `failures` is how a search
 #: ends that has found its tracks.
 BEYOND = ~SearchLimits.failures
+
+
+#: Layers with X and V that a segment needs, one at most between them, and layers along the beam that a line needs.
+_TWO = 2
+
+
+class SeedLayers(NamedTuple):
+    """Layers of a detector, or those in which each of some particles left measurements.
+
+    Attributes
+    ----------
+    points : ndarray, (n, layers) bool
+        Layers with both X and V; `layers` are those of the detector without wires.
+    across, along : ndarray, (n,) int64
+        Layers with axial wires or X, and with stereo wires or V.
+    """
+
+    points: Column
+    across: Column
+    along: Column
+
+
+def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -> tuple[Column, Column]:
+    """Return which sets of layers make a seed of the finder: a segment, a circle with a line; both (n,) bool.
+
+    Segments need X and V in two layers with one between them at most, circles as many layers across the beam as
+    where no cell fires by chance.
+
+    Parameters
+    ----------
+    detector : Detector
+    layers : SeedLayers
+    settings : FindSettings
+    """
+    points = layers.points
+    near = [points[:, :-gap] & points[:, gap:] for gap in (1, _TWO)]
+    segments = np.any(np.concatenate(near, axis=1), axis=1) & (settings.method != "chamber")
+    circles = (layers.across >= _circle_layers(detector, settings)) & (layers.along >= _TWO)
+    return segments, circles & (settings.method != "segments")
+
+
+def _circle_layers(detector: Detector, settings: FindSettings) -> int:
+    views = [layer.views for layer in detector.layers]
+    return _core.circle_layers(
+        axial=sum(layer.twist == 0 for layer in wire_layers(detector)), across=sum("X" in one for one in views),
+        single=any(len(one) == 1 for one in views), least_axial=settings.least_axial,
+    )  # fmt: skip
+
+
+def seedless(detector: Detector, settings: FindSettings | None = None) -> str:
+    """Return in which layers of a detector no track of `find_tracks` can begin, as text; empty if all make seeds.
+
+    Parameters
+    ----------
+    detector : Detector
+    settings : FindSettings or None
+
+    Returns
+    -------
+    str
+        That no track can begin anywhere, or that wires make no seeds, and what is missing.
+    """
+    settings = FindSettings.of(settings)
+    wires, views = wire_layers(detector), [layer.views for layer in detector.layers]
+    x, v = (np.array([name in one for one in views], np.bool_) for name in "XV")
+    axial = sum(layer.twist == 0 for layer in wires)
+    across, along = axial + int(x.sum()), len(wires) - axial + int(v.sum())
+    whole = SeedLayers((x & v)[None], np.array([across]), np.array([along]))
+    segments, circles = (bool(one[0]) for one in have_seeds(detector, whole, settings))
+    if circles or (segments and not wires):
+        return ""
+    least = _circle_layers(detector, settings)
+    lacks = [f"{least} layers with axial wires or X (got {across})"] * (across < least)
+    lacks += [f"{_TWO} layers with stereo wires or V (got {along})"] * (along < _TWO)
+    needs = f"circles need {' and '.join(lacks)}" if lacks else "find.method leaves out circles"
+    if segments:
+        labels = ", ".join(layer.label for layer, one in zip(detector.layers, x & v, strict=True) if one)
+        return f"no track begins in wires alone: it needs X and V in two of {labels}, since {needs}"
+    none = settings.method == "chamber"
+    pairs = "find.method leaves out segments" if none else "segments need X and V in two layers, one apart at most"
+    return f"{_NOWHERE}: {needs}, and {pairs}"
+
+
+_NOWHERE = "no track can begin"
+
+
+def warn_of_no_seeds(detector: Detector, settings: FindSettings) -> None:
+    """Warn if no track can begin in any layers of a detector.
+
+    Parameters
+    ----------
+    detector : Detector
+    settings : FindSettings
+    """
+    text = seedless(detector, settings)
+    if text.startswith(_NOWHERE):
+        warnings.warn(f"{detector.name}: finder ckf: {text}", stacklevel=3)
+
+
+def wire_layers(detector: Detector) -> tuple[WireLayer, ...]:
+    """Return the layers of the drift chamber; none without one.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    return detector.drift_chamber.layers if detector.drift_chamber else ()
 
 
 @checked("clusters", "wire_hits", ignore=("gid",))

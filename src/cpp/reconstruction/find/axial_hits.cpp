@@ -39,6 +39,13 @@ double residual(const FoundCircle& c, double ux, double uy, const AxialPoint& p)
 
 }  // namespace
 
+int circle_layers(int axial, int across, bool single, int least_axial) {
+  if (!single) return least_axial;
+  // A track may leave through an end or turn back after three of them.
+  const int few = axial > 0 ? std::max(axial + across - 2, fewest_layers) : fewest_layers;
+  return std::min(least_axial, few);
+}
+
 AxialHits::AxialHits(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
@@ -69,10 +76,7 @@ void AxialHits::load(const EventHits& hits) {
     single = single || plane.has_x != plane.has_v;
   }
   layers_ = layers + across;
-  // No segments are made of layers with one coordinate: all that measure across the beam may be few, and a
-  // track may leave through an end or turn back after three of them.
-  const int few = layers > 0 ? std::max(layers_ - 2, fewest_layers) : fewest_layers;
-  const int least = single ? std::min(settings_.least_axial, few) : settings_.least_axial;
+  const int least = circle_layers(layers, across, single, settings_.least_axial);
   least_ = least + static_cast<int>(per_occupancy * share);
   too_many_ = least <= layers_ && layers_ < least_;
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));

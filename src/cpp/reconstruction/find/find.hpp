@@ -66,6 +66,11 @@ struct FindOutput {
   std::vector<std::uint8_t> limits;
 };
 
+// Layers that a circle from the beam line needs, where no cells fire by chance: of axial wires and with X.
+// `axial`, `across`: such layers of the detector; `single`: whether it has layers of one coordinate, of which
+// no segments are made, so that all that measure across the beam may be few.
+int circle_layers(int axial, int across, bool single, int least_axial);
+
 FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings);
 
 }  // namespace cgemit

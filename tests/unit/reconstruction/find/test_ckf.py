@@ -10,7 +10,7 @@ import cgemit as cg
 from cgemit.particles.gun import Guns
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find.ckf import SearchLimits
+from cgemit.reconstruction.find.ckf import SearchLimits, seedless
 from cgemit.reconstruction.find.truth import own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import BackgroundSettings
@@ -706,6 +706,32 @@ def test_three_layers_across_the_beam_make_a_circle(gun):
     assert findable > 85
     assert found == findable
     assert others == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("detector", "method", "text"),
+    [
+        ("besiii-cgem", "combined", ""),
+        ("besiii-idc", "combined", ""),
+        ("besiii-idc", "segments", "no track can begin: find.method leaves out circles, and segments need"),
+        ("kloe2-like", "combined", "circles need 6 layers with axial wires or X (got 4)"),
+        (
+            "kloe2-like",
+            "chamber",
+            "no track can begin: circles need 6 layers with axial wires or X (got 4), and find.m",
+        ),
+        ("clas12-like", "combined", ""),
+        ("epic-like", "combined", ""),
+        (barrel(1, (100, 200, 300, 400, 500, 600), {"sigma_v": "20 um", "stereo": "5 deg"}), "combined", "(got 0)"),
+        (barrel(1, (100, 200, 300, 400, 500, 600), {"sigma_x": "20 um"}), "combined", "or V (got 0)"),
+        (barrel(1, (100, 200, 300, 400, 500, 600), *VIEWS), "combined", ""),
+        (barrel(1, (100, 200), {"sigma_x": "20 um"}, {"sigma_v": "20 um"}), "combined", "need 3 layers with axial"),
+    ],
+)
+def test_layers_in_which_no_track_can_begin_are_told(detector, method, text):
+    told = seedless(cg.load(detector), cg.FindSettings(method=method))
+    assert text in told
+    assert bool(text) == bool(told)
 
 
 def views_in(run, layer):
