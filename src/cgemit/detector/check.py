@@ -181,7 +181,8 @@ def unreachable(detector: Contents) -> list[str]:
         inside = _inside(wire, radius)
         if text := _unreached(wire.half_length, max(first, -inside), min(last, inside)):
             found.setdefault(text, []).append(f"drift_chamber.layers.{wire.number}")
-    return [f"{', '.join(_shortened(paths))}: {text}" for text, paths in found.items()]
+    whole = len(layers_of(detector)) + (len(detector.drift_chamber.layers) if detector.drift_chamber else 0)
+    return [f"{', '.join(_shortened(paths))} ({len(paths)} of {whole} layers): {text}" for text, paths in found.items()]
 
 
 def _inside(wire: WireLayer, radius: float) -> float:

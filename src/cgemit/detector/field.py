@@ -131,6 +131,34 @@ class FieldGrid:
             row = np.tensordot(_weights(axis, 0.0), row, axes=(0, 0))
         return float(row)
 
+    @cached_property
+    def inaccuracy(self) -> float:
+        """How far the field between the points may be off, relative to the largest field.
+
+        The larger of two numbers: the error of the interpolation, which is 1/16 of the error at every second point of
+        an axis without these points (of cubic splines it falls with the fourth power of the step), and the divergence
+        of the splines at the points times half the largest step.
+        """
+        from scipy.interpolate import CubicSpline
+
+        splines = [CubicSpline(axis.values, self.values, axis=i) for i, axis in enumerate(self.axes)]
+        off = 0.0
+        for i, axis in enumerate(self.axes):
+            if axis.points >= 2 * _FEWEST:
+                kept = np.take(self.values, range(0, axis.points, 2), axis=i)
+                between = CubicSpline(axis.values[::2], kept, axis=i)(axis.values[1 : axis.points - 1 : 2])
+                given = np.take(self.values, range(1, axis.points - 1, 2), axis=i)
+                off = max(off, float(np.abs(between - given).max(initial=0.0)) / 16)
+        slopes = [
+            spline(axis.values, 1)[..., i] for i, (spline, axis) in enumerate(zip(splines, self.axes, strict=True))
+        ]
+        divergence = sum(slopes[1:], slopes[0])
+        if self.axes[0].name == "r":  # at r = 0 the limit of Br/r is its slope
+            r = self.axes[0].values[:, None]
+            divergence = divergence + np.where(r > 0, self.values[..., 0] / np.where(r > 0, r, 1.0), slopes[0])
+        step = max(axis.step for axis in self.axes)
+        return max(off, float(np.abs(divergence).max()) * 0.5 * step) / max(self.largest(), 1e-300)
+
     def largest(self) -> float:
         """Return the largest size of the field on the grid, T."""
         return float(np.sqrt(np.max(np.sum(np.square(self.values), axis=-1))))
@@ -433,5 +461,7 @@ def field_text(detector_field: Field) -> str:
         limited = min(detector_field.r_max, detector_field.z_max) < EVERYWHERE
         return f"{text} at the origin, harmonic with {shape}" + (reach if limited else "")
     if isinstance(detector_field, MapField):
-        return f"{text} at the origin, map {detector_field.file}, {detector_field.grid.range_text()}"
+        grid = detector_field.grid
+        accuracy = f"accurate to about {100 * grid.inaccuracy:.1g} % of {abs(detector_field.bz):g} T"
+        return f"{text} at the origin, map {detector_field.file}, {grid.range_text()}, {accuracy}"
     return text

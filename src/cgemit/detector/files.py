@@ -271,13 +271,17 @@ _LARGEST_CSV = 500_000_000  # bytes
 _LENGTH, _FIELD = "length_unit", "field_unit"
 
 
-def read_field_map(path: str | Path) -> FieldGrid:
+def read_field_map(path: str | Path, columns: str = "") -> FieldGrid:
     """Return the grid that a map file holds (docs/methods/field.md).
 
     Parameters
     ----------
     path : str or Path
-        ``.npz`` or ``.csv``.
+        ``.npz`` or ``.csv``; any text file if `columns` are given.
+    columns : str
+        Columns of a text table without a header, such as ``"x[cm] y[cm] z[cm] - bx[G] by[G] bz[G]"``; ``-`` is a column
+        that is not read. Numbers are separated by white space, commas or semicolons. Empty lines, lines that begin with
+        ``#``, ``%``, ``!`` or ``//``, and lines of text before the first row of numbers are left out.
 
     Raises
     ------
@@ -295,8 +299,11 @@ def read_field_map(path: str | Path) -> FieldGrid:
     """
     path = Path(path)
     problems: list[Problem] = []
-    columns = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix, _no_map)(path, problems)
-    grid = checked_grid(columns, problems) if columns is not None else None
+    if columns:
+        found = _read_text(path, columns, problems)
+    else:
+        found = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix, _no_map)(path, problems)
+    grid = checked_grid(found, problems) if found is not None else None
     if grid is None or problems:
         raise DetectorError(str(path), problems)
     return grid
@@ -364,7 +371,8 @@ def _write_csv(path: Path, arrays: Mapping[str, Floats]) -> None:
 
 
 def _no_map(path: Path, problems: list[Problem]) -> Columns | None:
-    problems.append(Problem("", f'"{path.name}"', "a map file, .npz or .csv"))
+    hint = "a text table: read_field_map(path, columns) and write_field_map"
+    problems.append(Problem("", f'"{path.name}"', "a map file, .npz or .csv", hint))
     return None
 
 
@@ -408,14 +416,40 @@ def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
     return columns
 
 
-def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
-    """Return the columns of a file as axes and arrays on the grid, in mm and T."""
+_COMMENTS = ("#", "%", "!", "//")
+
+
+def _lines(path: Path, problems: list[Problem]) -> list[str] | None:
     try:
-        lines = [line for line in read_text(path, _LARGEST_CSV).splitlines() if line and line[0] != "#"]
+        return read_text(path, _LARGEST_CSV).splitlines()
     except (OSError, ValueError) as error:
         problems.append(Problem("", str(error), "a text file"))
         return None
-    header, *rows = list(csv.reader(lines)) or [[]]
+
+
+def _read_text(path: Path, columns: str, problems: list[Problem]) -> Columns | None:
+    """Return the columns of a text table without a header as axes and arrays on the grid, in mm and T."""
+    lines = _lines(path, problems)
+    if lines is None:
+        return None
+    stripped = (line.strip() for line in lines)
+    rows = [re.split(r"[\s,;]+", line.rstrip(",;")) for line in stripped if line and not line.startswith(_COMMENTS)]
+    first = next((i for i, row in enumerate(rows) if all(map(is_number, row))), 0)
+    header = re.findall(r"\S+(?:\s*\[[^\]]*\])?", columns.replace(",", " "))
+    return _table(header, rows[first:], problems)
+
+
+def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
+    """Return the columns of a file as axes and arrays on the grid, in mm and T."""
+    lines = _lines(path, problems)
+    if lines is None:
+        return None
+    header, *rows = list(csv.reader([line for line in lines if line and line[0] != "#"])) or [[]]
+    return _table(header, rows, problems)
+
+
+def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) -> Columns:
+    """Return the columns of a table by its header; a column ``-`` is not read."""
     matches = [_HEADER.fullmatch(name) for name in header]
     given = {match[1]: match[2] for match in matches if match}
     axes, components = names_in(given)
@@ -425,7 +459,8 @@ def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
         text = f"columns {', '.join(header) or 'none'}"
         wanted = ", ".join(f"{name}[{NATIVE[kind]}]" for name, kind in dimensions.items())
         problems.append(Problem("header", text, f"{wanted}; no column {', '.join(missing)}"))
-    unread = [name for name in header if (match := _HEADER.fullmatch(name)) is None or match[1] not in dimensions]
+    named = [name for name in header if name != "-"]
+    unread = [name for name in named if (match := _HEADER.fullmatch(name)) is None or match[1] not in dimensions]
     if unread and not missing:
         expected = f"only {', '.join(dimensions)}"
         problems.append(Problem("header", f"columns {', '.join(unread)} that are not read", expected))

@@ -177,7 +177,8 @@ def test_show_and_validate_say_what_is_not_reached(capsys: pytest.CaptureFixture
     file = tmp_path / "short.toml"
     field = 'kind = "harmonic"\nbz = "2 T"\nb = "1e-4 /m2"\nz_max = "2.1 m"\n'
     file.write_text(f'base = "idea-like"\nname = "short"\n[field]\n{field}', encoding="utf-8")
-    line = "layer.WRAP1, layer.WRAP2: no track from the origin reaches z below -2100 mm and z above 2100 mm"
+    line = "layer.WRAP1, layer.WRAP2 (2 of 119 layers): no track from the origin reaches z below -2100 mm"
+    line += " and z above 2100 mm"
     assert call("validate", str(file)) == 0
     assert line in capsys.readouterr().out
     assert call("show", str(file), "-o", str(tmp_path / "out")) == 0

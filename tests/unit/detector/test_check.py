@@ -543,13 +543,14 @@ def test_dollars_are_drawn_as_they_are(tmp_path, capsys):
     )
 
 
+NO_TRACK = "no track from the origin reaches"
 #: A cylinder of field, and what of a detector lies outside of it: part, and what its line says.
 OUTSIDE = [
     (
         {"z_max": "2 m"},
-        "layer.WRAP1, layer.WRAP2: no track from the origin reaches z below -2000 mm and z above 2000 mm",
+        f"layer.WRAP1, layer.WRAP2 (2 of 119 layers): {NO_TRACK} z below -2000 mm and z above 2000 mm",
     ),
-    ({"r_max": "2.05 m"}, "layer.WRAP2: no track from the origin reaches it: the field ends before"),
+    ({"r_max": "2.05 m"}, "layer.WRAP2 (1 of 119 layers): no track from the origin reaches it: the field ends before"),
     ({"z_max": "5 m", "r_max": "3 m"}, None),
 ]
 
@@ -576,13 +577,13 @@ def test_wires_outside_of_the_field_are_named() -> None:
     detector = cg.load("idea-like").with_field({"kind": "harmonic", "bz": "2 T", "b": "1e-4 /m2", "z_max": "1.9 m"})
     last = detector.drift_chamber.layers[-1].number
     assert describe(detector)["unreachable"][0].startswith("layer.WRAP1, 112 more, drift_chamber.layers.")
-    assert f"drift_chamber.layers.{last}: no track" in describe(detector)["unreachable"][0]
+    assert f"drift_chamber.layers.{last} (114 of 119 layers): no track" in describe(detector)["unreachable"][0]
     assert describe(cg.load("besiii-cgem").with_field("besiii"))["unreachable"] == []
     wire = next(one for one in cg.load("besiii-idc").drift_chamber.layers if one.number == 24)
     radius = 0.5 * (wire.r_mid + wire.r_end)
     limits = {"kind": "harmonic", "bz": "-1 T", "b": "1e-4 /m2", "r_max": f"{radius} mm"}
     stereo = cg.load("besiii-idc").with_field(limits)
-    text = next(one for one in describe(stereo)["unreachable"] if f"layers.{wire.number}:" in one)
+    text = next(one for one in describe(stereo)["unreachable"] if f"layers.{wire.number} (" in one)
     z = float(text.split("above ")[1].split(" mm")[0])
     assert wire.radius_at(z) == pytest.approx(radius, abs=0.01)
 

@@ -335,6 +335,73 @@ def test_an_octant_is_completed_by_symmetry(tmp_path):
     assert (found.axes, found.mirrored) == (whole.axes, ("x", "y", "z"))
 
 
+TEXT = "% field of a coil\n  X  Y  Z  potential  BX  BY  BZ\n  mm mm mm - G G G\n! rows below\n\n"
+
+
+@pytest.mark.parametrize("separator", [" ", "   ", ", ", ";"])
+def test_a_text_table_without_header_is_read_with_columns_and_units(tmp_path, separator):
+    """Lengths in cm, fields in gauss, one column that is not read, comments and lines of text before the numbers."""
+    columns = box_columns()
+    points = np.stack(np.meshgrid(columns["x"], columns["y"], columns["z"], indexing="ij"), axis=-1).reshape(-1, 3)
+    values = np.stack([columns[name].ravel() for name in ("bx", "by", "bz")], axis=-1)
+    rows = np.column_stack([points / 10, np.full(len(points), 7.0), values * 1e4])
+    text = "\n".join("  " + separator.join(f"{number:.10g}" for number in row) for row in rows)
+    path = tmp_path / "table.dat"
+    path.write_text(TEXT + text + "\n// end\n", encoding="utf-8")
+    grid = read_field_map(path, columns="x[cm] y[cm] z[cm] - bx[G], by[G], bz [G]")
+    whole = read_field_map(write_field_map(tmp_path / "map.npz", columns))
+    assert grid.values == pytest.approx(whole.values, abs=1e-12)
+    assert [axis[1:] for axis in grid.axes] == [pytest.approx(axis[1:]) for axis in whole.axes]
+    assert read_field_map(write_field_map(tmp_path / "again.npz", grid.columns)).checksum == grid.checksum
+    with pytest.raises(DetectorError, match=r"read_field_map\(path, columns\)"):
+        read_field_map(path)
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ("x[cm] y[cm] z[cm] bx[G] by[G] bz[G]", "row 1, 2, 3, 4, 5 and"),
+        ("x[cm] y[cm] z[cm] - bx[G] by[G]", "no column bz"),
+        ("x[cm] y[cm] z[cm] - bx[G] by[G] bz[ft]", 'unit "ft"'),
+        ("x[cm] y[cm] z[cm] phi[rad] bx[G] by[G] bz[G]", "columns phi[rad] that are not read"),
+    ],
+)
+def test_mistakes_of_the_columns_of_a_text_table(tmp_path, columns, expected):
+    path = tmp_path / "table.dat"
+    points = np.stack(np.meshgrid(*[np.arange(-2.0, 3.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    np.savetxt(path, np.column_stack([points, np.zeros((len(points), 3)), np.ones(len(points))]))
+    with pytest.raises(DetectorError, match=re.escape(expected)):
+        read_field_map(path, columns=columns)
+
+
+@pytest.mark.parametrize("step", [50.0, 100.0, 200.0])
+def test_a_map_tells_how_far_it_may_be_off(tmp_path, design_files, step):
+    """The field of a coil on grids of three steps, against the formula at random points of the tracker."""
+    r, z = np.arange(0.0, 801.0, step), np.arange(-1200.0, 1201.0, step)
+    scale = solenoid_field(1000.0, 1200.0, 0.0, 0.0)[1]
+    br, bz = (one / scale for one in solenoid_field(1000.0, 1200.0, r[:, None], z))
+    path = write_field_map(tmp_path / "map.npz", {"r": r, "z": z, "br": br, "bz": bz})
+    detector, rng = design_files.with_field(path), np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(0, 780, 4000), np.zeros(4000), rng.uniform(-1180, 1180, 4000)])
+    truth = np.column_stack([one / scale for one in solenoid_field(1000.0, 1200.0, points[:, 0], points[:, 2])])
+    off = np.abs(field_at(detector, points)[:, [0, 2]] - truth).max()
+    found = detector.field.grid.inaccuracy * detector.field.grid.largest()
+    assert 0.5 * off < found < 30 * off
+    text = f"accurate to about {100 * detector.field.grid.inaccuracy:.1g} % of 1 T"
+    assert text in str(detector)
+
+
+def test_divergence_counts_as_inaccuracy(tmp_path):
+    """Bz = 1 T + z/m with Br = 0 is exact between its points, but its divergence is 1 T/m: 50 mm of 2 T."""
+    r, z = np.arange(0.0, 801.0, 100.0), np.arange(-1000.0, 1001.0, 100.0)
+    bz = np.broadcast_to(1 + 1e-3 * z, (len(r), len(z)))
+    grid = read_field_map(write_field_map(tmp_path / "map.npz", {"r": r, "z": z, "br": 0 * bz, "bz": bz}))
+    assert grid.inaccuracy == pytest.approx(1e-3 * 50 / 2)
+    br = np.broadcast_to(-0.5e-3 * r[:, None], bz.shape)
+    grid = read_field_map(write_field_map(tmp_path / "whole.npz", {"r": r, "z": z, "br": br, "bz": bz}))
+    assert grid.inaccuracy < 1e-12
+
+
 @pytest.mark.parametrize("digits", ["single", "text"])
 def test_axes_are_equidistant_within_their_digits(tmp_path, digits):
     columns = rz_columns()
