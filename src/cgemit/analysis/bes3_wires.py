@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit.analysis.bes3 import Bes3Events
 from cgemit.chain.match import match
 from cgemit.detector import Detector
-from cgemit.detector.drift import distance_at, propagation_time
+from cgemit.detector.drift import BESIII, propagation_time
 from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.fit import FitStatus
@@ -48,7 +48,7 @@ class DriftCalibration:
         in it have `ZERO_TIME`.
     relation : dict of (int, int) to (ndarray, ndarray)
         By layer and side (+1, -1): drift times, ns, ascending, and the distances of them, mm, both (n,) float64. Others
-        have the relation of the outer chamber, `cgemit.detector.drift.distance_at`.
+        have the relation of the outer chamber, `cgemit.detector.drift.BESIII`.
     """
 
     zero_time: Mapping[int, float] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class DriftCalibration:
 
     def distance(self, layer: Ints, time: Floats) -> Floats:
         """Return drift distances, (n,) float64, mm: means of both sides, which a hit does not know."""
-        found = distance_at(np.maximum(time, 0.0))
+        found = BESIII.distance_at(np.maximum(time, 0.0))
         for one in np.unique(layer).tolist():
             mine = layer == one
             sides = [self.relation[one, side] for side in (1, -1) if (one, side) in self.relation]

@@ -6,6 +6,7 @@ from cgemit.detector.detector import Detector, ReadoutGroup, load
 from cgemit.detector.export import describe, schema
 from cgemit.detector.field import Field, FieldGrid, HarmonicField, MapField, SolenoidField
 from cgemit.detector.files import detectors, fields, read_field_map, write_field_map
+from cgemit.detector.gas import GasFile, read_gas_file
 from cgemit.detector.material import Material
 from cgemit.detector.matter import Slab, slabs
 from cgemit.detector.parts import (
@@ -13,6 +14,8 @@ from cgemit.detector.parts import (
     CgemLayer,
     Cylinder,
     DriftChamber,
+    DriftPoint,
+    ErrorPoint,
     MeasurementLayer,
     Shell,
     SubLayer,
@@ -28,8 +31,11 @@ __all__ = [
     "Detector",
     "DetectorError",
     "DriftChamber",
+    "DriftPoint",
+    "ErrorPoint",
     "Field",
     "FieldGrid",
+    "GasFile",
     "HarmonicField",
     "MapField",
     "Material",
@@ -50,6 +56,7 @@ __all__ = [
     "like",
     "load",
     "read_field_map",
+    "read_gas_file",
     "schema",
     "slab_table",
     "slabs",

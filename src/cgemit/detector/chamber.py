@@ -37,7 +37,10 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
         for name, key in keys.items()
         if name in tables
     }
+    _settle_errors(reader, "drift_chamber", raw, common)
     values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=(*keys, "layers", "superlayers"))
+    if values.get("drift_relation") and values.get("drift_velocity"):
+        reader.note("drift_chamber.drift_velocity", "also drift_relation", "one of both")
     superlayers = _superlayers(reader, groups, common)
     if groups and not generated:
         rows = _laid_over(_wire_rows(reader, superlayers), rows)
@@ -49,8 +52,10 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
         if isinstance(row, WireLayer):
             layers.append(row)
         elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
-            found = reader.table(f"drift_chamber.layers.{number}", row, WireLayer, defaults=common, siblings=rows)
-            _one_matter(reader, f"drift_chamber.layers.{number}", row, found)
+            path = f"drift_chamber.layers.{number}"
+            found = reader.table(path, row, WireLayer, defaults=_defaults(row, common), siblings=rows)
+            _one_matter(reader, path, row, found)
+            _settle_errors(reader, path, row, found)
             layers.append(WireLayer(number=int(number), **found))
         else:
             text = shown(str(number))
@@ -63,6 +68,27 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
     if any(layer.cell_wires for layer in ordered):
         values.setdefault("wires", "smeared")
     return DriftChamber(**values, layers=ordered, superlayers=tuple(superlayers))
+
+
+def _defaults(raw: object, common: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the values for all layers; a table with `sigma_points` needs no `sigma`."""
+    has_points = isinstance(raw, Mapping) and "sigma_points" in raw
+    return {"sigma": 1.0, **common} if has_points else common
+
+
+def _settle_errors(reader: Reader, path: str, raw: object, values: dict[str, Any]) -> None:
+    """Note a table that states its error twice; one with points has the error of the first one as `sigma`."""
+    points = values.get("sigma_points")
+    if not isinstance(points, tuple) or not points or not isinstance(raw, Mapping):
+        return
+    names = ("sigma_points", "sigma", "sigma_slope")
+    stated = [name for name in names if name in raw and not isinstance(raw[name], Known)]
+    if stated and stated[0] != names[0]:  # the points hold for all layers
+        values["sigma_points"] = ()
+        return
+    if len(stated) > 1:
+        reader.note(f"{path}.{stated[1]}", "also sigma_points", "one of both")
+    values |= {"sigma": points[0].sigma, "sigma_slope": 0.0}
 
 
 def _one_matter(reader: Reader, path: str, raw: object, values: dict[str, Any]) -> None:
@@ -94,8 +120,9 @@ def _superlayers(reader: Reader, tables: Mapping[str, Any], common: Mapping[str,
             found.append(table)
             continue
         path = f"drift_chamber.superlayers.{label}"
-        values = reader.table(path, table, Superlayer, defaults=common, siblings=tables)
+        values = reader.table(path, table, Superlayer, defaults=_defaults(table, common), siblings=tables)
         _one_matter(reader, path, table, values)
+        _settle_errors(reader, path, table, values)
         for name, key in keys_of(Superlayer).items():  # relative values have not been checked
             value = values.get(name)
             limits = CELLS[int if isinstance(value, int) else float] if key.kind == "cells" else key

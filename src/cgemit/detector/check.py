@@ -345,7 +345,7 @@ def _error_problems(wires: list[WireLayer]) -> list[Problem]:
     """Return the layers whose error of the drift distance is not positive in all of their cells."""
     problems = []
     for i, wire in enumerate(wires):
-        if wire.sigma_slope >= 0:
+        if wire.sigma_slope >= 0 or wire.sigma_points:
             continue
         # Tracks pass at most as far from the wire as an outer corner of its cell, midway to the next layer.
         others = (*wires[max(i - 1, 0) : i], *wires[i + 1 : i + 2])

@@ -478,4 +478,21 @@ def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placeme
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     columns["gid_first"] = np.array(gid_first, dtype=np.int32)
     columns["placement"] = placement.reshape(1, 12)
-    return columns
+    return columns | _error_columns(layers, columns)
+
+
+def _error_columns(layers: Sequence[WireLayer], columns: Columns) -> Columns:
+    """Return the first value and slope of errors that are no straight lines, and the changes of the slope."""
+    sigma, slope = columns["sigma"].copy(), columns["sigma_slope"].copy()
+    ramps: list[tuple[int, float, float]] = []
+    for i, layer in enumerate(layers):
+        nodes, errors = layer.error_table
+        if len(nodes):
+            slopes = [*(np.diff(errors) / np.diff(nodes)), 0.0]  # constant beyond the last point
+            sigma[i], slope[i] = errors[0], slopes[0]
+            ramps += [(i, node, new - old) for node, old, new in zip(nodes[1:], slopes[:-1], slopes[1:], strict=True)]
+    if not ramps:
+        return {"sigma": sigma, "sigma_slope": slope}
+    rows, starts, changes = zip(*ramps, strict=True)
+    found = {"ramp_from": np.array(starts, np.float64), "ramp_change": np.array(changes, np.float64)}
+    return {"sigma": sigma, "sigma_slope": slope, "ramp_layer": np.array(rows, np.int32), **found}

@@ -29,6 +29,8 @@ from cgemit.detector.parts import (
     Contents,
     Cylinder,
     DriftChamber,
+    DriftPoint,
+    ErrorPoint,
     Layer,
     MeasurementLayer,
     RatePoint,
@@ -303,6 +305,8 @@ def _table(part: Any) -> dict[str, Any]:
     keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
     keys = {name: key for name, key in keys.items() if not key.quiet or getattr(part, name) != default(kind, name)}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
+    if found.get("sigma_points"):
+        found |= dict.fromkeys(("sigma", "sigma_slope"))
     return {name: value for name, value in found.items() if value not in (None, {}, "", [])}
 
 
@@ -317,7 +321,7 @@ def _value(value: Any, kind: str) -> Any:
         return value._asdict()
     if kind == "composition":
         return dict(value)
-    if kind == "profile":
+    if kind in ("profile", "relation", "errors"):
         return [_table(point) for point in value]
     if kind == "counts":
         return list(value)
@@ -369,6 +373,8 @@ def schema() -> dict[str, Any]:
         "sub_layer": _schema_table(SubLayer, complete=True),
         "rate_point": _schema_table(RatePoint, complete=True),
         "cell_wire": _schema_table(CellWire, complete=True),
+        "drift_point": _schema_table(DriftPoint, complete=True),
+        "error_point": _schema_table(ErrorPoint, complete=True),
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -502,6 +508,8 @@ def _schema_value(key: Key) -> dict[str, Any]:
             ]
         },
         "profile": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/rate_point"}},
+        "relation": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/drift_point"}},
+        "errors": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/error_point"}},
         "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
         "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},

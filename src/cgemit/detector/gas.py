@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import resources
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +22,7 @@ from numpy.typing import NDArray
 
 from cgemit import _core
 from cgemit.base.errors import Problems, refuse
+from cgemit.base.files import read_text
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.material import Material
@@ -512,6 +516,144 @@ def transport(gas: str, e_field: float, b_field: float) -> Transport:
     at = [[np.interp(e_field, rows[i][:, 0], column) for column in rows[i][:, 1:].T] for i in needed]
     values = np.array(at[0]) if len(at) == 1 else np.array(at[0]) + b * (np.array(at[1]) - np.array(at[0]))
     return Transport(*(float(value) for value in values * _NATIVE))
+
+
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?")
+_TABLES, _FOOTER = "The gas tables follow:", "H Extr"
+_LARGEST_GAS_FILE = 200_000_000  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class GasFile:
+    """Electron transport in a gas, as Magboltz computed it for Garfield.
+
+    Attributes
+    ----------
+    gas : str
+        Name in the file, such as ``"Ar 90%, iC4H10 10%, T=293.15 K, p=1 atm"``.
+    e_field : ndarray, (fields,) float64, kV/cm
+    b_field : ndarray, (magnetic fields,) float64, T
+        At the angle to the electric field that is closest to a right angle.
+    velocity, tan_lorentz, sigma_t, sigma_l : ndarray, (fields, magnetic fields) float64
+        Drift velocity along the electric field, mm/ns; tangent of the angle between drift and electric field;
+        diffusion across and along the drift, mm/sqrt(mm).
+
+    Examples
+    --------
+    >>> from cgemit.detector import GasFile
+    >>> columns = [np.full((2, 1), value) for value in (0.025, 0.0, 0.07, 0.05)]
+    >>> gas = GasFile("He 90%, iC4H10 10%", np.array([0.5, 1.5]), np.array([0.0]), *columns)
+    >>> gas.transport(1.0).velocity  # mm/ns
+    0.025
+    """
+
+    gas: str
+    e_field: Floats
+    b_field: Floats
+    velocity: Floats
+    tan_lorentz: Floats
+    sigma_t: Floats
+    sigma_l: Floats
+
+    def transport(self, e_field: float, b_field: float = 0.0) -> Transport:
+        """Return the transport at fields between the tabulated ones, linear in both.
+
+        Parameters
+        ----------
+        e_field : float
+            kV/cm.
+        b_field : float
+            T, of either sign.
+
+        Raises
+        ------
+        ValueError
+            If a field is outside of the file.
+
+        """
+        problems, b = Problems(), abs(b_field)
+        for name, value, unit, grid in (("e_field", e_field, "kV/cm", self.e_field), ("b_field", b, "T", self.b_field)):
+            if not grid[0] - 1e-6 * grid[-1] <= value <= grid[-1] * (1 + 1e-6):  # the file has eight digits
+                problems.note(name, f"{value:g} {unit}", f"{grid[0]:g} to {grid[-1]:g} {unit}, as in the file")
+        problems.report("electron transport")
+        found = []
+        for values in (self.velocity, self.tan_lorentz, self.sigma_t, self.sigma_l):
+            at_e = [float(np.interp(e_field, self.e_field, column)) for column in values.T]
+            found.append(float(np.interp(b, self.b_field, at_e)))
+        velocity, tan_lorentz, sigma_t, sigma_l = found
+        return Transport(velocity, tan_lorentz, sigma_t, sigma_t, sigma_l)
+
+
+def read_gas_file(path: str | Path) -> GasFile:
+    """Return the electron transport of a gas file of Garfield or Garfield++ (``.gas``).
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    ValueError
+        If the file has another format, or misses numbers.
+
+    Examples
+    --------
+    >>> from cgemit.detector import read_gas_file
+    >>> found = read_gas_file("he-ic4h10-90-10.gas").transport(1.0)  # doctest: +SKIP
+    >>> det = cg.load("idea-like")
+    >>> det.with_overrides({"drift_chamber.drift_velocity": f"{found.velocity} mm/ns"})  # doctest: +SKIP
+    """
+    text, problems = read_text(Path(path), _LARGEST_GAS_FILE), Problems()
+    head, found, tail = text.partition(_TABLES)
+    body, _, tail = tail.partition(_FOOTER)
+    size = re.search(r"Dimension\s*:\s*([TF])((?:\s+\d+){5})", head)
+    pressure = re.search(rf"PGAS\s*:\s*({_NUMBER.pattern})", tail)
+    for name, one, expected in (
+        (_TABLES, found, "this line, as in gas files of Garfield"),
+        ("Dimension", size, "T or F and five whole numbers"),
+        ("PGAS", pressure, "the pressure, behind the tables"),
+    ):
+        if not one:
+            problems.note(name, "nothing", expected)
+    problems.report(str(path))
+    assert size
+    assert pressure
+    fields, angles, magnetic, excited, ionized = map(int, size[2].split())
+    grids = {}
+    for name, count, after in (
+        ("E fields", fields, "E-B angles"), ("E-B angles", angles, "B fields"), ("B fields", magnetic, "Mixture"),
+    ):  # fmt: skip
+        grids[name] = _numbers_of(head.partition(name)[2].partition(after)[0])
+        if len(grids[name]) != count or not count:
+            problems.note(name, f"{len(grids[name])} numbers", f"{max(count, 1)}, as in the line Dimension")
+    plain = size[1] == "T"  # else each value has the coefficient of a spline behind it, except one
+    width = 17 + excited + ionized if plain else 33 + 2 * (excited + ionized)
+    numbers = _numbers_of(body)
+    if len(numbers) != fields * angles * magnetic * width:
+        expected = f"{fields} x {angles} x {magnetic} rows of {width}, as in the line Dimension"
+        problems.note("gas tables", f"{len(numbers)} numbers", expected)
+    problems.report(str(path))
+    right = int(np.argmin(np.abs(grids["E-B angles"] - math.pi / 2)))
+    rows = numbers.reshape(fields, angles, magnetic, width)[:, right]
+    along, across, aside, long, wide = (rows[..., i] for i in ((0, 1, 2, 3, 4) if plain else (0, 2, 4, 6, 8)))
+    torr = float(_numbers_of(pressure[1])[0])
+    # Electric fields are divided by the pressure in Torr, magnetic fields are in 0.01 T, velocities in cm/us. Widths in
+    # sqrt(cm) are multiplied by the root of the pressure.
+    native = math.sqrt(10 / torr)
+    name_of = re.search(r"Identifier\s*:\s*(.*)", head)
+    return GasFile(
+        gas=name_of[1].strip() if name_of else "",
+        e_field=grids["E fields"] * torr * 1e-3,
+        b_field=grids["B fields"] * 1e-2,
+        velocity=along * 1e-2,
+        tan_lorentz=np.hypot(across, aside) / np.where(along > 0, along, 1.0),
+        sigma_t=wide * native,
+        sigma_l=long * native,
+    )
+
+
+def _numbers_of(text: str) -> Floats:
+    return np.array([one.upper().replace("D", "E") for one in _NUMBER.findall(text)], np.float64)
 
 
 class LayerDrift(NamedTuple):

@@ -90,6 +90,8 @@ class Key(Quantity):
             "strips": 'a list such as ["0:17", "1:100-120"]: sheet, and strip or first and last strip, from 0',
             "gains": "a list with a number for each sheet, or rows along z of numbers along X; numbers",
             "profile": "a list of { r, rate } with increasing r",
+            "relation": "a list of at least two { distance, time }, the first at 0 mm, both rising",
+            "errors": "a list of { distance, sigma } with rising distance, the first at 0 mm",
             "counts": "a list of at most 100 numbers from 0, not all 0",
             "cells": 'a whole number of cells, or their width such as "12 mm"',
             "angles": "an angle, or a list of angles to use in turn, in rad",

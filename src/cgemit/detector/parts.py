@@ -240,6 +240,39 @@ class SubLayer(Part):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DriftPoint(Part):
+    """A point of the relation of drift distance and drift time.
+
+    Examples
+    --------
+    >>> points = [{"distance": "0 mm", "time": "0 ns"}, {"distance": "9 mm", "time": "350 ns"}]
+    >>> det = cg.load("idea-like").with_overrides({"drift_chamber.drift_relation": points})
+    >>> [(one.distance, one.time) for one in det.drift_chamber.drift_relation]
+    [(0.0, 0.0), (9.0, 350.0)]
+    """
+
+    distance: float = field(metadata=key("length", "drift distance", 0.0, 1000.0))  # mm
+    time: float = field(metadata=key("time", "drift time", -100.0, 100_000.0))  # ns
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorPoint(Part):
+    """The error of the drift distance at a distance from the wire.
+
+    Examples
+    --------
+    >>> errors = [{"distance": "0 mm", "sigma": "0.2 mm"}, {"distance": "2 mm", "sigma": "0.1 mm"}]
+    >>> det = cg.load("idea-like").with_overrides({"drift_chamber.sigma_points": errors})
+    >>> layer = det.drift_chamber.layers[0]
+    >>> [round(layer.error_at(distance), 3) for distance in (0.0, 1.0, 5.0)]
+    [0.2, 0.15, 0.1]
+    """
+
+    distance: float = field(metadata=key("length", "drift distance", 0.0, 1000.0))  # mm
+    sigma: float = field(metadata=key("length", "error of the drift distance", 1e-3, 10.0))  # mm
+
+
+@dataclass(frozen=True, kw_only=True)
 class CellWire(Part):
     """Wires, or tubes, of one kind in each drift cell.
 
@@ -663,6 +696,10 @@ class MeasurementLayer(MeasuringCylinder):
 Layer = CgemLayer | MeasurementLayer
 
 
+#: mm, between which the width of drifting electrons is a straight line: within 2 % of the root from 0.05 mm on.
+_NODES = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6, 51.2, 102.4)
+
+
 @dataclass(frozen=True, kw_only=True)
 class WireLayer(Part):
     """One layer of drift cells.
@@ -686,6 +723,13 @@ class WireLayer(Part):
     sigma: float = field(metadata=key("length", "error of the drift distance at the wire", 1e-3, 10.0))  # mm
     sigma_slope: float = field(
         metadata=key("slope", "change of that error with drift distance", -0.1, 0.1), default=0.0
+    )
+    sigma_points: tuple[ErrorPoint, ...] = field(
+        metadata=key("errors", "that error at some distances, instead of sigma and sigma_slope"), default=()
+    )
+    diffusion: float | None = field(  # mm/sqrt(mm)
+        metadata=key("diffusion", "of drifting electrons, whose width adds to that error in quadrature", 0.0, 1.0),
+        default=None,
     )
     efficiency: float = field(metadata=key("dimensionless", "probability that a cell fires", 0.0, 1.0), default=1.0)
     wire_x0: float = field(
@@ -715,6 +759,26 @@ class WireLayer(Part):
     def r_mid(self) -> float:
         """Radius of the wires at z = 0, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
+
+    def error_at(self, distance: Floats | float) -> Any:
+        """Return the error of drift distances from 0 on; both in mm."""
+        nodes, errors = self.error_table
+        if not len(nodes):
+            return self.sigma + self.sigma_slope * distance
+        return np.interp(distance, nodes, errors)
+
+    @cached_property
+    def error_table(self) -> tuple[Floats, Floats]:
+        """Distances and errors, mm, between which the error is a straight line; empty if it is one everywhere."""
+        points = [one.distance for one in self.sigma_points]
+        if not points and not self.diffusion:
+            return np.empty(0), np.empty(0)
+        nodes = np.array(sorted({0.0, *points, *(_NODES if self.diffusion else ())}))
+        if points:
+            own = np.interp(nodes, points, [one.sigma for one in self.sigma_points])
+        else:
+            own = self.sigma + self.sigma_slope * nodes
+        return nodes, np.hypot(own, (self.diffusion or 0.0) * np.sqrt(nodes))
 
     def wire_matter(self, wire_material: Material) -> tuple[tuple[Material, float], ...]:
         """Return materials and mean X/X0 of the layer's wires at normal incidence and z = 0.
@@ -802,6 +866,8 @@ class Superlayer(Part):
     half_length: float = _of_wires("half_length")  # mm
     sigma: float = _of_wires("sigma")  # mm
     sigma_slope: float = _of_wires("sigma_slope")
+    sigma_points: tuple[ErrorPoint, ...] = _of_wires("sigma_points")
+    diffusion: float | None = _of_wires("diffusion")  # mm/sqrt(mm)
     efficiency: float = _of_wires("efficiency")
     wire_x0: float = _of_wires("wire_x0")
     cell_wires: tuple[CellWire, ...] = _of_wires("cell_wires")
@@ -832,6 +898,12 @@ class DriftChamber(Placed):
         ),
         default="none",
     )
+    drift_relation: tuple[DriftPoint, ...] = field(
+        metadata=key("relation", "drift distance against drift time"), default=()
+    )
+    drift_velocity: float | None = field(  # mm/ns
+        metadata=key("speed", "constant drift velocity, instead of drift_relation", 1e-4, 1.0), default=None
+    )
     wire_material: Material = field(metadata=key("material", "material of smeared wires (default Al)", derived=True))
     first_gid: int = field(
         metadata=key("integer", "running number of the innermost layer's wire 0", 0, 1_000_000), default=0
@@ -857,7 +929,13 @@ class DriftChamber(Placed):
             matter = f"{names}, {100 * sum(x0 for _, x0 in found):.3g} % X0, spread over the gas"
         gases = " and ".join(dict.fromkeys((layer.gas or self.gas).name for layer in self.layers)) or self.gas.name
         wires = f"{len(self.layers)} layers, {cells} cells{reach}, gas {gases}"
-        return f"{wires}, matter of the wires {matter}{self.moved_text()}"
+        return f"{wires}, matter of the wires {matter}, drift times {self.drift_text()}{self.moved_text()}"
+
+    def drift_text(self) -> str:
+        """Return where drift times come from."""
+        if self.drift_velocity:
+            return f"of {1000 * self.drift_velocity:g} um/ns"
+        return f"of a table of {len(self.drift_relation)} points" if self.drift_relation else "as in BESIII"
 
     @property
     def gid_first(self) -> tuple[int, ...]:

@@ -14,7 +14,17 @@ from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, j
 from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CELLS, CENTRED, Key, Known, keys_of, opened, plain, required_of
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import CellWire, CgemLayer, Layer, MeasurementLayer, RatePoint, Readout, SubLayer
+from cgemit.detector.parts import (
+    CellWire,
+    CgemLayer,
+    DriftPoint,
+    ErrorPoint,
+    Layer,
+    MeasurementLayer,
+    RatePoint,
+    Readout,
+    SubLayer,
+)
 from cgemit.detector.readouts import DEFAULT_READOUTS, OF_LAYERS, READOUTS
 from cgemit.units import NATIVE
 
@@ -54,8 +64,8 @@ TOP_LEVEL = {
     "layer": "other layers that measure positions, by label",
     "readout": "readout of the CGEM layers that state none: a name, or a table; in a variant, of all of the base's",
     "walls": "further cylinders by label",
-    "drift_chamber": "drift chamber; sigma, sigma_slope, efficiency, wire_x0, cell_wires, signal_speed, readout_end "
-    "hold for layers without their own, half_length for superlayers without their own",
+    "drift_chamber": "drift chamber; sigma, sigma_slope, sigma_points, diffusion, efficiency, wire_x0, cell_wires, "
+    "signal_speed, readout_end hold for layers without their own, half_length for superlayers without their own",
     "background": "levels of background by label",
     "materials": "materials by name",
 }
@@ -243,6 +253,25 @@ class Reader:
             found.append(wire)
         return tuple(found)
 
+    def _relation(self, path: str, raw: object, key: Key) -> Any:
+        points = self._points(path, raw, key, DriftPoint)
+        rising = all(b.distance > a.distance and b.time > a.time for a, b in pairwise(points))
+        if len(points) == 1 or (points and points[0].distance != 0) or not rising:
+            self.note(path, f"a list of {len(points)}", key.expected())
+        return points
+
+    def _errors(self, path: str, raw: object, key: Key) -> Any:
+        points = self._points(path, raw, key, ErrorPoint)
+        if points and (points[0].distance != 0 or any(b.distance <= a.distance for a, b in pairwise(points))):
+            self.note(path, f"a list of {len(points)}", key.expected())
+        return points
+
+    def _points(self, path: str, raw: object, key: Key, kind: type) -> Any:
+        if not isinstance(raw, list) or not 0 < len(raw) <= MOST_POINTS:
+            self.note(path, shown(raw), key.expected())
+            return ()
+        return tuple(kind(**self.table(f"{path}[{i}]", row, kind)) for i, row in enumerate(raw))
+
     def _profile(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list) or len(raw) > MOST_POINTS:
             self.note(path, shown(raw), key.expected())
@@ -410,8 +439,10 @@ DERIVED_FROM = {
 #: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
 #: replaces the listed values of the base's layers.
 FOR_ALL_LAYERS = {
-    "sigma": ("sigma", "sigma_slope"),
-    "sigma_slope": ("sigma_slope",),
+    "sigma": ("sigma", "sigma_slope", "sigma_points"),
+    "sigma_slope": ("sigma_slope", "sigma_points"),
+    "sigma_points": ("sigma_points", "sigma", "sigma_slope"),
+    "diffusion": ("diffusion",),
     "efficiency": ("efficiency",),
     "wire_x0": ("wire_x0", "cell_wires"),
     "cell_wires": ("cell_wires", "wire_x0"),

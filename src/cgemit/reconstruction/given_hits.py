@@ -535,7 +535,7 @@ def _wire_columns(detector: Detector, given: Columns) -> Columns:
     if detector.drift_chamber:
         for layer, first in zip(detector.drift_chamber.layers, detector.drift_chamber.gid_first, strict=True):
             mine = given["layer"] == layer.number
-            sigma[mine] = layer.sigma + layer.sigma_slope * distance[mine]
+            sigma[mine] = layer.error_at(distance[mine])
             gid[mine] = first + given["wire"][mine]
     defaults = {"sigma": sigma, "gid": gid, "side": np.zeros(n, np.int64), "drift_time": np.full(n, np.nan)}
     return {**defaults, **columns}

@@ -20,7 +20,7 @@ from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
 from cgemit.detector.channels import channels_of, checked
 from cgemit.detector.core import compiled, layer_table, strip_lists
-from cgemit.detector.drift import distance_at, shifted
+from cgemit.detector.drift import DriftRelation, relation_of
 from cgemit.detector.parts import BackgroundLevel, WireLayer, cgem_numbers
 from cgemit.simulation.digitize import without_dead
 from cgemit.tables import Table
@@ -180,7 +180,7 @@ def add_background(
     if not settings.is_off:
         wire_hits = _with_cells(detector, level, settings, wire_hits, seed)
     if settings.start_time > 0:
-        wire_hits = _with_start_time(wire_hits, settings.start_time, seed)
+        wire_hits = _with_start_time(relation_of(detector), wire_hits, settings.start_time, seed)
     return {"digis": digis, "wire_hits": wire_hits}
 
 
@@ -268,11 +268,13 @@ def _with_cells(
         compiled(detector), wire_hits.events, begins=begins, lengths=lengths, window=window, hot=hot,
         hot_fires=hot_fires, seed=seed,
     )  # fmt: skip
-    drift = distance_at(cells["drift_time"])
-    row = np.searchsorted([layer.number for layer in layers], cells["layer"])
-    sigma, slope = np.array([(layer.sigma, layer.sigma_slope) for layer in layers]).reshape(-1, 2)[row].T
+    drift = relation_of(detector).distance_at(cells["drift_time"])
+    sigma = np.zeros(len(drift))
+    for layer in layers:
+        mine = cells["layer"] == layer.number
+        sigma[mine] = layer.error_at(drift[mine])
     n = len(drift)
-    cells |= {"drift": drift, "sigma": np.maximum(sigma + slope * drift, 1e-3)}
+    cells |= {"drift": drift, "sigma": np.maximum(sigma, 1e-3)}
     wire_hits = _earliest(wire_hits, cells | {"side": np.zeros(n), "wire_truth": np.full(n, -1)})
     if level is not None and level.dead_wires > 0:
         wire_hits = wire_hits[channel_kinds(wire_hits["gid"], CELLS) >= level.dead_wires]
@@ -348,14 +350,14 @@ def _earliest(wire_hits: Table, more: Mapping[str, Any]) -> Table:
     return _like(wire_hits, columns, order[first])
 
 
-def _with_start_time(wire_hits: Table, sigma: float, seed: int) -> Table:
+def _with_start_time(relation: DriftRelation, wire_hits: Table, sigma: float, seed: int) -> Table:
     """Return wire hits whose drift times are shifted by a Gaussian number for each event.
 
     Drift distances follow from the times; their standard deviations stay, since a fit does not know of the shift.
     """
     shift = np.repeat(start_times(wire_hits.events, sigma, seed), np.diff(wire_hits.offsets))
     time = wire_hits["drift_time"]
-    return wire_hits.with_columns(drift_time=time + shift, drift=shifted(wire_hits["drift"], time, shift))
+    return wire_hits.with_columns(drift_time=time + shift, drift=relation.shifted(wire_hits["drift"], time, shift))
 
 
 def start_times(events: npt.NDArray[np.int64], sigma: float, seed: int) -> Floats:
@@ -432,16 +434,19 @@ def mix_events(
     drawn = _uniforms(seed, wire_hits.events, _core.Purpose.mixed_event)
     chosen = (drawn[:, 0] * n).astype(np.int64)
     shift = offset[0] + (offset[1] - offset[0]) * drawn[:, 1]
-    found = {"digis": digis, "wire_hits": _mixed_cells(wire_hits, tables["wire_hits"], chosen, shift)}
+    found = {
+        "digis": digis,
+        "wire_hits": _mixed_cells(relation_of(detector), wire_hits, tables["wire_hits"], chosen, shift),
+    }
     if all(bool((one["strip"] >= 0).all()) for one in (digis, tables["digis"])):
         found["digis"] = _mixed_strips(digis, tables["digis"], chosen, shift)
     return found
 
 
-def _mixed_cells(given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
+def _mixed_cells(relation: DriftRelation, given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
     more, shift = _of_others(given, other, "drift_time", chosen, shift)
     # At the same time nothing changes: the measured distance is kept to the last digit.
-    drift = np.where(shift == 0, more["drift"], distance_at(np.maximum(more["drift_time"], 0.0)))
+    drift = np.where(shift == 0, more["drift"], relation.distance_at(np.maximum(more["drift_time"], 0.0)))
     return _earliest(
         given, more | {"drift": drift, "wire_truth": np.full(len(shift), -1), "side": np.zeros(len(shift))}
     )

@@ -16,12 +16,7 @@ from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, ReadoutGroup, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.detector.core import in_dead_area, strip_lists
-from cgemit.detector.drift import (
-    XT_DISTANCE,
-    XT_TIME,
-    propagation_time,
-    shifted,
-)
+from cgemit.detector.drift import propagation_time, relation_of
 from cgemit.detector.parts import Layer, Readout, seen_by
 from cgemit.detector.readouts import (
     AnalogReadout,
@@ -309,12 +304,13 @@ def read_out_wires(
     else:  # times that are not finite stay, for the check
         time = wire_truths["time"]
         delay = np.where((wire_truths["half_turn"] > 0) | ~np.isfinite(time), time, 0.0)
+    relation = relation_of(detector)
     hits = _core.read_out_wires(
-        compiled(detector), {**wire_truths.columns, "delay": delay}, xt_distance=XT_DISTANCE, xt_time=XT_TIME,
-        reveal_sides=reveal_sides, seed=seed,
+        compiled(detector), {**wire_truths.columns, "delay": delay}, xt_distance=relation.distance,
+        xt_time=relation.time, reveal_sides=reveal_sides, seed=seed,
     )  # fmt: skip
     table = Table("wire_hits", hits, **wire_truths.cover)
     if not raw:
         return table
     late, drift_time = delay[table["wire_truth"]], table["drift_time"]
-    return table.with_columns(drift_time=drift_time + late, drift=shifted(table["drift"], drift_time, late))
+    return table.with_columns(drift_time=drift_time + late, drift=relation.shifted(table["drift"], drift_time, late))

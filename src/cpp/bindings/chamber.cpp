@@ -52,6 +52,12 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
                  0,
                  0};
   }
+  if (columns.contains("ramp_layer")) {
+    const auto layer = take<std::int32_t>(columns, "ramp_layer");
+    const auto from = take<double>(columns, "ramp_from"), change = take<double>(columns, "ramp_change");
+    for (py::ssize_t i = 0; i < layer.size(); ++i)
+      layers.at(static_cast<std::size_t>(layer.at(i))).ramps.push_back({from.at(i), change.at(i)});
+  }
   return layers;
 }
 

@@ -10,6 +10,7 @@
 #include "covariance/recorded.hpp"
 #include "detector/cluster_errors.hpp"
 #include "detector/strip_plane.hpp"
+#include "detector/wires.hpp"
 #include "matter/draws.hpp"
 #include "motion/cells.hpp"
 #include "motion/reach.hpp"
@@ -254,7 +255,7 @@ class ExpectedHits {
   // them (`reconstruction/fit/measured.hpp`).
   T wire_variance(const Slot<T>& slot, const T& distance) const {
     const WireLayer& layer = detector_.wires[static_cast<std::size_t>(slot.layer)];
-    const T sigma = layer.sigma + layer.sigma_slope * distance, own = sigma * sigma;
+    const T sigma = drift_error(layer, distance), own = sigma * sigma;
     if (model_.sides_known) return own;
     const T weight = hyperbolic_tangent(distance * distance / own);
     return own + (1.0 - weight * weight) * distance * distance;

@@ -163,6 +163,12 @@ class PlacedWires {
   const Wire* first_ = nullptr;
 };
 
+// A change of the slope of an error against drift distance.
+struct ErrorRamp {
+  double from;    // mm
+  double change;  // of the slope from there on
+};
+
 // One layer of drift cells around straight, possibly stereo, wires.
 struct WireLayer {
   int number;  // layer number of the experiment
@@ -178,9 +184,10 @@ struct WireLayer {
   // Derived from the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
   PlacedWires placed;
   double waist, flare, tan_half_twist;
-  double per_radian;          // cells per radian
-  double twist_per_z;         // 1/mm, tan_half_twist/half_length
-  double borders = HUGE_VAL;  // mm, |z| up to which its wires are neighbours of those of other layers
+  double per_radian;             // cells per radian
+  double twist_per_z;            // 1/mm, tan_half_twist/half_length
+  std::vector<ErrorRamp> ramps;  // of the error, where it is no straight line
+  double borders = HUGE_VAL;     // mm, |z| up to which its wires are neighbours of those of other layers
 };
 
 // The cylinder of a slab that is no filler.

@@ -32,6 +32,14 @@ T wire_radius(const WireLayer& layer, const T& z) {
   return layer.flare == 0 ? T(layer.r_end) : sqrt(layer.waist + layer.flare * z * z);
 }
 
+// Error of a drift distance that is not negative, mm.
+template <class T>
+T drift_error(const WireLayer& layer, const T& distance) {
+  T error = layer.sigma + layer.sigma_slope * distance;
+  for (const ErrorRamp& ramp : layer.ramps) error += ramp.change * larger(distance - ramp.from, T(0.0));
+  return error;
+}
+
 // Azimuth of a wire at z, minus that at z = 0.
 template <class T>
 T wire_azimuth(const WireLayer& layer, const T& z) {

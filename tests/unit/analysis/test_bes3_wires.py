@@ -10,7 +10,7 @@ import bes3_layout
 import cgemit as cg
 from cgemit.analysis import bes3_wires
 from cgemit.analysis.bes3 import events_of
-from cgemit.detector.drift import distance_at
+from cgemit.detector.drift import BESIII
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +59,8 @@ def test_calibration(events):
     time = np.linspace(10.0, 200.0, 20)
     assert {layer for layer, _ in found.relation} >= set(range(8))
     known = found.distance(np.full(20, 3), time)
-    assert np.abs(known - distance_at(time)).max() < 0.1  # mm
-    assert np.array_equal(bes3_wires.DriftCalibration().distance(np.full(20, 3), time), distance_at(time))
+    assert np.abs(known - BESIII.distance_at(time)).max() < 0.1  # mm
+    assert np.array_equal(bes3_wires.DriftCalibration().distance(np.full(20, 3), time), BESIII.distance_at(time))
 
 
 def test_tracks_of_all_hits(run, events):

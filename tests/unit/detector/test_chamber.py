@@ -13,6 +13,7 @@ import pytest
 import cgemit as cg
 from cgemit.detector import DetectorError, WireLayer, schema, slabs
 from cgemit.detector.delphes import card_of
+from cgemit.detector.drift import BESIII, relation_of
 
 GAS = {"density": "3.913e-4 g/cm3", "composition": {"He": 0.3827, "C": 0.5103, "H": 0.1070}, "gas": True}
 A1 = {"layers": 8, "r_in": "350 mm", "cells": "12 mm", "stereo": ["50 mrad", "-50 mrad"]}
@@ -419,3 +420,82 @@ def test_cards_have_the_matter_of_wires() -> None:
     x0 = sum(float(row[5]) / float(row[6]) for row in rows)
     gas = sum(shell.x0 for slab in slabs(cg.load(belle2_wires(wires="none"))) for shell in slab.shells)
     assert x0 == pytest.approx(0.002597 + gas, rel=0.03)
+
+
+POINTS = [{"distance": f"{d} mm", "time": f"{t} ns"} for d, t in ((0, 0), (4, 100), (9, 350))]
+ERRORS = [{"distance": f"{d} mm", "sigma": f"{s} um"} for d, s in ((0, 200), (2, 100), (5, 130))]
+
+
+def test_each_chamber_has_a_relation_of_drift_distance_and_time() -> None:
+    """Times by hand: 6 mm are 100 ns + 2 mm of 50 ns/mm; 10 mm continue the last line; 25 um/ns is 240 ns for 6 mm."""
+    own = cg.load(chamber(A1, drift_relation=POINTS))
+    relation = relation_of(own)
+    assert relation.distance_at([50.0, 200.0, 400.0]).tolist() == pytest.approx([2.0, 6.0, 10.0])
+    assert relation.velocity_at([1.0, 6.0, 10.0]).tolist() == pytest.approx([0.04, 0.02, 0.02])
+    assert cg.load(tomllib.loads(own.to_toml())) == own
+    assert own.drift_chamber is not None
+    assert "drift times of a table of 3 points" in own.drift_chamber.text()
+    constant = cg.load(chamber(A1, drift_velocity="2.5 cm/us"))
+    assert relation_of(constant).distance_at(240.0) == pytest.approx(6.0)
+    assert own.content_hash != constant.content_hash != cg.load(chamber(A1)).content_hash
+    assert relation_of(cg.load(chamber(A1))) is BESIII
+    for detector, expected in ((own, 200.0), (constant, 240.0), (cg.load(chamber(A1)), 210.9)):
+        hits = cg.run(detector, cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3)), 100, 1, until="digitize").wire_hits
+        near = np.abs(hits["drift"] - 6.0) < 0.05
+        assert np.median(hits["drift_time"][near]) == pytest.approx(expected, abs=4)
+
+
+@pytest.mark.parametrize(
+    ("change", "path", "given"),
+    [
+        ({"drift_relation": POINTS[1:]}, "drift_relation", "a list of 2"),
+        ({"drift_relation": POINTS[:1]}, "drift_relation", "a list of 1"),
+        ({"drift_relation": [POINTS[0], POINTS[2], POINTS[1]]}, "drift_relation", "a list of 3"),
+        ({"drift_relation": [{"distance": "1"}]}, "drift_relation[0].distance", '"1" (no unit)'),
+        ({"drift_relation": POINTS, "drift_velocity": "25 um/ns"}, "drift_velocity", "also drift_relation"),
+        ({"drift_velocity": "25 m/ns"}, "drift_velocity", '"25 m/ns"'),
+        ({"sigma_points": ERRORS[1:]}, "sigma_points", "a list of 2"),
+        ({"sigma_points": ERRORS}, "sigma", "also sigma_points"),
+    ],
+)
+def test_mistakes_of_relations_and_errors(change: dict[str, Any], path: str, given: str) -> None:
+    tables = chamber(A1, **change)
+    if path == "sigma_points":
+        del tables["drift_chamber"]["sigma"]
+    assert (path, given) in [(one, text[: len(given)]) for one, text in problems(tables)]
+
+
+def test_errors_as_a_table_in_all_stages() -> None:
+    """The error is a straight line between points and constant beyond; diffusion adds its width in quadrature.
+
+    Standard deviations of simulated residuals by distance: four standard errors, of 1000 hits and more each.
+    """
+    tables = chamber(A1, sigma_points=ERRORS, diffusion="100 um/sqrt(cm)")
+    del tables["drift_chamber"]["sigma"]
+    detector = cg.load(tables)
+    layer = layers_of(detector)[0]
+    at = np.array([0.0, 0.8, 1.6, 3.2, 6.4])
+    plain = np.interp(at, [0, 2, 5], [0.2, 0.1, 0.13])
+    assert layer.error_at(at) == pytest.approx(np.hypot(plain, 0.1 * np.sqrt(at / 10)), rel=1e-9)
+    assert cg.load(tomllib.loads(detector.to_toml())) == detector
+    run = cg.run(detector, cg.Gun("mu-", p=2.0, cos_theta=(-0.5, 0.5)), 3000, 1, until="digitize")
+    hits = run.wire_hits
+    assert hits["sigma"] == pytest.approx(layer.error_at(np.maximum(hits["drift"], 0.0)), rel=1e-5)
+    doca = np.abs(run.tables["wire_truths"]["doca"][hits["wire_truth"]])
+    for low, high in ((0.0, 0.2), (1.9, 2.1), (4.5, 5.5)):
+        inside = (doca > low) & (doca < high)
+        pull = (hits["drift"] - doca)[inside] / layer.error_at(doca[inside])
+        assert len(pull) > 500
+        assert pull.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(pull)))
+    same = {"distance": "0 mm", "sigma": "100 um"}, {"distance": "10 mm", "sigma": "200 um"}
+    straight = chamber(A1, A2, sigma="100 um", sigma_slope="10 um/mm")
+    line = chamber(A1, A2 | {"sigma": "100 um"}, sigma_points=list(same))
+    del line["drift_chamber"]["sigma"]
+    line["drift_chamber"]["superlayers"]["A2"] |= {"sigma_slope": "10 um/mm"}
+    straight["drift_chamber"]["superlayers"]["A2"] |= {"sigma": "100 um"}
+    found = [cg.analytic(cg.load(one), "mu-", p=1.0, cos_theta=0.3).sigma("kappa") for one in (straight, line)]
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+    double = chamber(A1, A2, sigma_points=[one | {"sigma": "200 um"} for one in same])
+    del double["drift_chamber"]["sigma"], double["drift_chamber"]["superlayers"]["A2"]["sigma"]
+    assert cg.analytic(cg.load(double), "mu-", p=1.0, cos_theta=0.3).sigma("kappa") > 1.1 * found[0]
+    assert [one.sigma for one in layers_of(detector.with_overrides({"drift_chamber.sigma": "80 um"}))] == [0.08] * 8

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 from cgemit import _core
-from cgemit.detector import compiled, load
+from cgemit.detector import compiled, load, read_gas_file
 from cgemit.detector.build import library
 from cgemit.detector.gas import (
     MAX_B,
@@ -675,3 +677,92 @@ def test_electrons_start_on_the_track(origin: str) -> None:
     below = below[inside]
     # From the far side a few do not get out.
     assert 0.35 < np.median(below) < 0.5
+
+
+#: E/p (V/cm/Torr), velocity (cm/us), and widths along and across (sqrt(cm) sqrt(Torr)) in argon/isobutane 90/10, as
+#: in a file that Garfield++ wrote (Ar-90_iC4H10-10_T293.15K_P760Torr_B0T_A90deg.gas of github.com/distta/GasDataBase).
+PUBLISHED = ((2.631579, 3.56385487, 0.481490255, 1.03220382), (3.28947370, 3.51237867, 0.470265364, 1.04380405),
+             (3.94736840, 3.49616426, 0.463422818, 1.02945512))  # fmt: skip
+
+
+def gas_file(path: Path, *, plain: bool, magnetic: int = 1, levels: int = 2) -> Path:
+    """Write the published rows as Garfield does; with a magnetic field of 1 T, velocities across are half as large."""
+    rows = []
+    for _, velocity, along, across in PUBLISHED:
+        for b in range(magnetic):
+            values = [
+                velocity,
+                0.3 * b * velocity,
+                0.4 * b * velocity,
+                along,
+                across,
+                *[-30.0] * 3,
+                0.0,
+                0.5 * b,
+                -30.0,
+            ]
+            tensor, rates = [1e4] * 6, [0.0] * levels
+            if plain:
+                rows.append(values + tensor + rates)
+            else:
+                spread = [one for i, value in enumerate(values) for one in ([value] if i == 6 else [value, 0.0])]
+                rows.append(spread + [one for value in tensor + rates for one in (value, 0.0)])
+    numbers = [f"{value:15.8E}" for row in rows for value in row]
+    text = "\n".join("".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8))  # numbers touch, as in Fortran
+    size = f"{'T' if plain else 'F'} {len(PUBLISHED)} 1 {magnetic} {levels} 0"
+    fields = " ".join(f"{row[0]:.8E}" for row in PUBLISHED)
+    path.write_text(
+        f" Version   : 12\n GASOK bits: TFTTFTTTTTTFFFTTFFFF\n Identifier: Ar 90%, iC4H10 10%\n Dimension : {size}\n"
+        f" E fields\n {fields}\n E-B angles\n 1.57079633E+00\n B fields\n 0.0E+00{' 1.0E+02' * (magnetic - 1)}\n"
+        f" Mixture:\n 90. 10.\n The gas tables follow:\n{text}\n H Extr:     1    1\n"
+        " PGAS : 7.60000000E+02, TGAS : 2.93150000E+02\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_a_gas_file_of_garfield_gives_transport(tmp_path: Path, plain: bool) -> None:
+    """By hand: 2.6316 V/cm/Torr are 2 kV/cm at 760 Torr, 3.564 cm/us are 35.64 um/ns, 1.0322/sqrt(760) is 374.4 um.
+
+    The program's own table of this gas, of another version of Magboltz, has errors of 6 % for the widths.
+    """
+    found = read_gas_file(gas_file(tmp_path / "ar.gas", plain=plain))
+    assert found.gas == "Ar 90%, iC4H10 10%"
+    at = found.transport(2.0)
+    assert at.velocity == pytest.approx(35.6385e-3, rel=1e-4)
+    root = 1e-3 / math.sqrt(10)  # um/sqrt(cm) in mm/sqrt(mm)
+    assert (at.sigma_x, at.sigma_par, at.sigma_l) == pytest.approx(
+        (374.42 * root, 374.42 * root, 174.66 * root), rel=1e-4
+    )
+    own = transport("ar-ic4h10-90-10", 2.0, 0.0)
+    assert at.velocity == pytest.approx(own.velocity, rel=0.02)
+    assert (at.sigma_x, at.sigma_l) == pytest.approx((own.sigma_x, own.sigma_l), rel=0.06)
+    between = found.transport(2.25)
+    assert between.velocity == pytest.approx(0.5e-2 * (PUBLISHED[0][1] + PUBLISHED[1][1]))
+
+
+def test_a_gas_file_with_a_magnetic_field(tmp_path: Path) -> None:
+    found = read_gas_file(gas_file(tmp_path / "ar.gas", plain=True, magnetic=2))
+    assert found.b_field.tolist() == [0.0, 1.0]
+    assert found.transport(2.0, -1.0).tan_lorentz == pytest.approx(0.5)
+    assert found.transport(2.0, 0.5).tan_lorentz == pytest.approx(0.25)
+    with pytest.raises(ValueError, match=r"e_field: got 4 kV/cm.*\n?.*b_field: got 2 T|b_field: got 2 T"):
+        found.transport(4.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (" The gas tables follow:", "", "The gas tables follow:: got nothing"),
+        (" Dimension", " Size", "Dimension: got nothing"),
+        (" PGAS", " P", "PGAS: got nothing"),
+        ("T 3 1 1 2 0", "T 3 1 1 5 0", "gas tables: got 57 numbers"),
+        ("T 3 1 1 2 0", "T 4 1 1 2 0", "E fields: got 3 numbers"),
+    ],
+)
+def test_wrong_gas_files_are_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    path = gas_file(tmp_path / "bad.gas", plain=True)
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(ValueError, match=re.escape(expected)):
+        read_gas_file(path)

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 import cgemit as cg
 import gem_toy
-from cgemit.detector.drift import XT_DISTANCE, XT_TIME, distance_at, propagation_time, shifted, velocity_at
+from cgemit.detector.drift import BESIII, propagation_time
 from cgemit.reconstruction.fit import fit
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import DriftTimes, Hits, StartTimeStatus, Turn, flight, refinements, start_subtracted
@@ -62,7 +62,7 @@ def test_raw_times_hold_flight_and_propagation(raw, plain):
         run(until="digitize", wire_times="corrected").wire_hits["drift_time"][kept[kept >= 0]],
         atol=1e-9,
     )
-    back = shifted(drift, time, -late)
+    back = BESIII.shifted(drift, time, -late)
     np.testing.assert_allclose(back[kept >= 0], plain.wire_hits["drift"][kept[kept >= 0]], atol=1e-9)
 
 
@@ -111,7 +111,7 @@ def test_expectation_is_the_middle_of_the_wire(raw):
         here = raw.wire_hits["layer"] == number
         late = (raw.wire_hits["drift_time"] - found["drift_time"])[here]
         np.testing.assert_allclose(late, layer.r_mid / LIGHT + layer.half_length / speed, rtol=1e-12)
-        spread = velocity_at(found["drift"][here]) * 2 * layer.half_length / speed / np.sqrt(12)
+        spread = BESIII.velocity_at(found["drift"][here]) * 2 * layer.half_length / speed / np.sqrt(12)
         np.testing.assert_allclose(found["sigma"][here], np.hypot(0.13, spread))
 
 
@@ -224,7 +224,7 @@ def test_hits_of_other_programs_as_in_the_chain():
 
 
 def test_distance_is_that_of_the_raw_time(raw):
-    off = raw.wire_hits["drift"] - distance_at(raw.wire_hits["drift_time"])
+    off = raw.wire_hits["drift"] - BESIII.distance_at(raw.wire_hits["drift_time"])
     assert np.abs(off).max() < 1e-9
 
 
@@ -278,7 +278,7 @@ def refit(made, wire_hits=None, start_time="fitted", start_time_error=None, cand
 
 
 def corrected(wire_hits, times):
-    return start_subtracted(wire_hits, times["event"], times["start_time"])
+    return start_subtracted(BESIII, wire_hits, times["event"], times["start_time"])
 
 
 def test_the_pull_of_the_start_time_has_width_one(fitted_start):
@@ -302,7 +302,7 @@ def test_chi_square_is_least_at_the_fitted_time_and_grows_with_its_error(pairs, 
     at = found["start_times"]["start_time"][hits["event"]]
     chi2 = []
     for step in (-1.0, 0.0, 1.0):
-        drift = shifted(hits["drift"], hits["drift_time"], -at - step)
+        drift = BESIII.shifted(hits["drift"], hits["drift_time"], -at - step)
         moved = hits.with_columns(drift=drift, drift_time=hits["drift_time"] - at - step)
         tracks = refit(pairs, moved, start_time="given", **plain)["tracks"]
         chi2.append(np.bincount(tracks["event"], tracks["chi2"], EVENTS))
@@ -379,7 +379,7 @@ def test_a_track_of_another_time_does_not_count():
     hits = made.wire_hits
     late = np.where(made.wire_truths["particle"][hits["wire_truth"]] == 2, 60.0, 0.0)
     time = hits["drift_time"]
-    hits = hits.with_columns(drift_time=time + late, drift=shifted(hits["drift"], time, late))
+    hits = hits.with_columns(drift_time=time + late, drift=BESIII.shifted(hits["drift"], time, late))
     times = refit(made, hits)["start_times"]
     pull = (times["start_time"] - start_times(times["event"], SPREAD, 1)) / times["err_start_time"]
     assert np.mean(times["n_tracks"] == 2) > 0.9
@@ -434,8 +434,8 @@ def test_a_run_fits_start_times_if_asked_and_finds_again_with_them(tmp_path):
 
 
 def test_distances_and_velocities_follow_the_table():
-    assert np.allclose(distance_at(XT_TIME), XT_DISTANCE)
-    assert np.allclose(distance_at([-10.0, 400.0]), [-0.5, 8.7])
-    assert np.allclose(velocity_at([-1.0, 0.2, 1.0, 8.0, 20.0]), [0.05, 0.05, 0.7 / 15, 0.008, 0.008])
+    assert np.allclose(BESIII.distance_at(BESIII.time), BESIII.distance)
+    assert np.allclose(BESIII.distance_at([-10.0, 400.0]), [-0.5, 8.7])
+    assert np.allclose(BESIII.velocity_at([-1.0, 0.2, 1.0, 8.0, 20.0]), [0.05, 0.05, 0.7 / 15, 0.008, 0.008])
     time = np.array([5.0, 60.0])
-    assert np.allclose(shifted(np.array([0.3, 2.4]), time, 5.0), [0.55, 2.56])
+    assert np.allclose(BESIII.shifted(np.array([0.3, 2.4]), time, 5.0), [0.55, 2.56])

@@ -12,7 +12,7 @@ from cgemit.base.files import parse_toml
 from cgemit.cli import options
 from cgemit.detector import compiled
 from cgemit.detector.core import in_dead_area, layer_table, seam_strips, strip_lists
-from cgemit.detector.drift import XT_DISTANCE, XT_TIME
+from cgemit.detector.drift import BESIII
 from cgemit.simulation.background import CELLS, STRIPS, add_background, channel_kinds, mix_events, read_out, start_times
 from cgemit.tables import Table
 
@@ -451,7 +451,7 @@ def test_the_earlier_of_two_mixed_hits_wins(run):
         lost = before[gid] < 10  # outside of the window after the shift
         assert time == pytest.approx(before[gid] if lost else before[gid] - 30)
         assert (link >= 0) == lost
-        assert lost or not 0 < time < 350 or drift == pytest.approx(np.interp(time, XT_TIME, XT_DISTANCE))
+        assert lost or not 0 < time < 350 or drift == pytest.approx(np.interp(time, BESIII.time, BESIII.distance))
 
 
 def test_events_are_mixed_from_files_in_the_chain(run, other, tmp_path):

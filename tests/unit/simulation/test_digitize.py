@@ -10,7 +10,7 @@ from cgemit import _core, analytic
 from cgemit.chain.run import run
 from cgemit.detector import compiled, gas, load
 from cgemit.detector.core import layer_table
-from cgemit.detector.drift import XT_DISTANCE, XT_TIME
+from cgemit.detector.drift import BESIII
 from cgemit.detector.readouts import BinaryReadout, GaussianReadout
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.cluster import cluster
@@ -300,8 +300,8 @@ def wire_hits(detector, truths, reveal_sides=False, seed=1):
     return _core.read_out_wires(
         detector,
         truths | {"delay": np.zeros(len(truths["event"]))},
-        xt_distance=XT_DISTANCE,
-        xt_time=XT_TIME,
+        xt_distance=BESIII.distance,
+        xt_time=BESIII.time,
         reveal_sides=reveal_sides,
         seed=seed,
     )

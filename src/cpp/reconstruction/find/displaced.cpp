@@ -17,7 +17,7 @@ constexpr std::size_t ring_layers = 4;
 constexpr std::size_t many_segments = 200;
 constexpr double steepest_segment = 2;  // tangent of the angle between a segment and the radius
 constexpr double off_segment = 0.6;     // mm, of a hit between the ends of a segment, without curvature
-constexpr double drift_error = 0.3;     // mm
+constexpr double assumed_error = 0.3;   // mm
 constexpr double any_distance = 1000;   // mm, distance from the beam line that the fit of a circle expects
 constexpr int more_layers = 1;          // than a circle from the beam line needs
 constexpr double least_lever = 200;     // mm^2, lever of a hit that measures the curvature
@@ -151,7 +151,7 @@ std::optional<double> DisplacedSearch::closest(const Segment& segment, std::size
 void DisplacedSearch::count(const Segment& segment) {
   counts_.clear();
   const double largest = axial_.largest_w(), per_bin = bins / (2 * largest);
-  const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * drift_error / segment.chord;
+  const double quarter = 0.25 * segment.chord * segment.chord, turn = 2 * assumed_error / segment.chord;
   std::uint64_t layer = 0;
   BitCounts<words>::Bits in_layer{};
   ranges_.resize(2 * axial_.points().size());
@@ -168,7 +168,7 @@ void DisplacedSearch::count(const Segment& segment) {
       layer = p.layer;
       in_layer = {};
     }
-    const double per = 2 / squares, error = per * (turn * std::abs(along) + drift_error);
+    const double per = 2 / squares, error = per * (turn * std::abs(along) + assumed_error);
     for (const double side : {-p.drift, p.drift}) {
       const double w = per * (left + side);
       if (std::abs(w) > largest) continue;

@@ -8,6 +8,7 @@
 
 #include "common/lanes/number.hpp"
 #include "common/lanes/philox.hpp"
+#include "detector/wires.hpp"
 
 namespace cgemit {
 namespace {
@@ -87,6 +88,7 @@ void fire(const Detector& detector, const std::vector<int>& index, const WireTru
           std::vector<FiredCell>& out) {
   BlockSeries<Number> draws;
   Number distance, least, slope, efficiency;
+  bool straight = true;
   for (int i = 0; i < lanes_of<Number>; ++i) {
     const std::size_t row = first + std::min(static_cast<std::size_t>(i), n - 1);
     const WireLayer& layer = detector.wires[index[truths.layer[row]]];
@@ -98,8 +100,15 @@ void fire(const Detector& detector, const std::vector<int>& index, const WireTru
     set_lane(least, i, layer.sigma);
     set_lane(slope, i, layer.sigma_slope);
     set_lane(efficiency, i, layer.efficiency);
+    straight = straight && layer.ramps.empty();
   }
-  const auto sigma_at = [&](const Number& where) { return least + slope * larger(where, 0.0); };
+  const auto sigma_at = [&](const Number& where) {
+    if (straight) return least + slope * larger(where, 0.0);
+    return gathered<Number>([&](int i) {
+      const std::size_t row = first + std::min(static_cast<std::size_t>(i), n - 1);
+      return drift_error(detector.wires[index[truths.layer[row]]], std::max(lane(where, i), 0.0));
+    });
+  };
   const BlockOf<Number> words = draws.next();
   const Number drift = distance + sigma_at(distance) * normal_quantile(open_unit(words[0]));
   // The error is evaluated at the measured drift distance, the only one that the hit has.
