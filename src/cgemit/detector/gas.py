@@ -585,7 +585,7 @@ class GasFile:
 
 
 def read_gas_file(path: str | Path) -> GasFile:
-    """Return the electron transport of a gas file of Garfield or Garfield++ (``.gas``).
+    r"""Return the electron transport of a gas file of Garfield or Garfield++ (``.gas``).
 
     Parameters
     ----------
@@ -598,10 +598,18 @@ def read_gas_file(path: str | Path) -> GasFile:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> from cgemit.detector import read_gas_file
-    >>> found = read_gas_file("he-ic4h10-90-10.gas").transport(1.0)  # doctest: +SKIP
-    >>> det = cg.load("idea-like")
-    >>> det.with_overrides({"drift_chamber.drift_velocity": f"{found.velocity} mm/ns"})  # doctest: +SKIP
+    >>> head = " Dimension : T 2 1 1 0 0\n E fields\n 1.0 2.0\n E-B angles\n 1.57\n B fields\n 0.0\n Mixture:\n"
+    >>> row = "2.0 0.0 0.0 1.2 1.8" + 12 * " 0.0" + "\n"
+    >>> tables = f" The gas tables follow:\n{row}{row} H Extr: 1\n PGAS : 7.6E+02\n"
+    >>> written = Path("helium.gas").write_text(head + tables)
+    >>> found = read_gas_file("helium.gas").transport(1.0)
+    >>> found.velocity  # mm/ns
+    0.02
+    >>> det = cg.load("idea-like").with_overrides({"drift_chamber.drift_velocity": f"{found.velocity} mm/ns"})
+    >>> det.drift_chamber.drift_text()
+    'of 20 um/ns'
     """
     text, problems = read_text(Path(path), _LARGEST_GAS_FILE), Problems()
     head, found, tail = text.partition(_TABLES)

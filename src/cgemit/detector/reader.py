@@ -696,6 +696,9 @@ def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
     tables = [changes, *_tables(changes, "layers").values(), *_tables(changes, "superlayers").values()]
     if "wires" not in changes and any(isinstance(one, Mapping) and "cell_wires" in one for one in tables):
         chamber.pop("wires", None)
+    for name, other in (("drift_relation", "drift_velocity"), ("drift_velocity", "drift_relation")):
+        if name in changes:
+            chamber.pop(other, None)
     for label in superlayers:
         if "half_length" in changes:
             _open(superlayers, label).pop("half_length", None)

@@ -430,6 +430,11 @@ def test_each_chamber_has_a_relation_of_drift_distance_and_time() -> None:
     """Times by hand: 6 mm are 100 ns + 2 mm of 50 ns/mm; 10 mm continue the last line; 25 um/ns is 240 ns for 6 mm."""
     own = cg.load(chamber(A1, drift_relation=POINTS))
     relation = relation_of(own)
+    for preset in ("idea-like", "besiii-cgem"):
+        changed = cg.load(preset).with_overrides({"drift_chamber.drift_relation": POINTS})
+        assert relation_of(changed).time.tolist() == [0.0, 100.0, 350.0]
+        back = changed.with_overrides({"drift_chamber.drift_velocity": "30 um/ns"})
+        assert relation_of(back).distance_at(100.0) == pytest.approx(3.0)
     assert relation.distance_at([50.0, 200.0, 400.0]).tolist() == pytest.approx([2.0, 6.0, 10.0])
     assert relation.velocity_at([1.0, 6.0, 10.0]).tolist() == pytest.approx([0.04, 0.02, 0.02])
     assert cg.load(tomllib.loads(own.to_toml())) == own
