@@ -25,7 +25,8 @@ STRUCTS = [
         "FindSettings",
         "reconstruction/find/find.hpp",
         FindSettings,
-        {"segments": "method", "chamber": "method", "mass": "hypothesis"} | {"least_width": None, "delta_strips": None},
+        {"segments": "method", "chamber": "method", "mass": "hypothesis"}
+        | {"least_width": None, "delta_strips": None, "charge": None},
     ),
     ("SimulateSettings", "simulation/transport/simulate.hpp", SimulateSettings, {"interrupted": None}),
     ("BinaryReadout", "simulation/digitize/binary.hpp", BinaryReadout, {"w_values": None}),

@@ -129,7 +129,7 @@ class EventFinder {
     FindSeed slow = seed;
     const auto middle = static_cast<std::size_t>(hits_[seed.hits[2]].layer);
     slow.helix = trace_back(detector_, seed.helix, detector_.layers[middle].r_mid(),
-                            settings_.species(seed.helix.kappa));
+                            species_of(settings_, seed.helix.kappa));
     slow.covariance(2, 2) = variance_of_kappa(slow.helix.kappa);
     try_seed(slow);
   }
@@ -224,7 +224,7 @@ class EventFinder {
     if (on_wire == circle.hits.end()) return;
     const double radius = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)].r_end;
     const double kappa = seed.helix.kappa;
-    seed.helix = trace_back(detector_, seed.helix, radius, settings_.species(kappa));
+    seed.helix = trace_back(detector_, seed.helix, radius, species_of(settings_, kappa));
     const double lost = seed.helix.kappa - kappa;
     // How much, depends on the particle.
     seed.covariance(0, 0) += 9;

@@ -31,10 +31,12 @@ struct FindSettings {
   bool annealing;          // of wire hits near several tracks
   double least_width, delta_strips;  // cluster errors, as in the fit
   double momentum;  // GeV/c, with which all tracks scatter and lose energy; 0: that of their curvature
-
-  // `kappa`: of a track.
-  Species species(double kappa) const { return species_of(mass, charge, kappa); }
 };
+
+// The particle that the finder assumes for a track with this kappa.
+inline Species species_of(const FindSettings& settings, double kappa) {
+  return species_of(settings.mass, settings.charge, kappa);
+}
 
 // Hits `offsets[i]` to `offsets[i + 1]` belong to event i.
 struct FindInput {

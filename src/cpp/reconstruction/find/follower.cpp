@@ -19,8 +19,8 @@ constexpr double inflation = 10;  // of a covariance that the same hits have mad
 constexpr double curved = 0.1;    // mm; a fit linear about a distant reference is off by as much
 constexpr int few_hits = 2, many_hits = 10, many_wires = 20;
 constexpr double good_chi2 = 1.5;  // of a hit
-constexpr int most_speed_ups = 8;
-constexpr double speed_up = 0.92;  // of kappa
+constexpr int most_speed_ups = 20;
+constexpr double speed_up = 0.97;  // of kappa; larger steps overshoot where slow particles stop
 constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
 constexpr int settled_after = 10;       // hits; a worse branch does not become the best one later
@@ -57,8 +57,10 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
   for (int number = 0; number < settings_.passes; ++number) {
     const Branch* const best = pass(start, prior, forced, number == 0);
     if (best == nullptr || best->score < hopeless - most_prompt ||
-        !refit(*best, number == 0 && !forced.empty() ? 1 : 2))
-      return false;
+        !refit(*best, number == 0 && !forced.empty() ? 1 : 2)) {
+      if (number == 0) return false;
+      break;  // about a reference that stops: the track of the pass before stays
+    }
     collect(*best, track);
     if (track.score < hopeless) return false;
     // The reference was good enough if a second pass has changed next to nothing. Gaps may close with a

@@ -15,7 +15,7 @@ namespace cgemit {
 
 inline void trace_nearby(const Detector& detector, const Perigee& start, const FindSettings& settings,
                          Group<double>& group, NearbyHits& nearby) {
-  const Species species = settings.species(start.kappa);
+  const Species species = species_of(settings, start.kappa);
   const NearbyObserver observer(nearby);
   const MatterMomentum<double> matter{settings.momentum > 0, settings.momentum};
   if (detector.field.is_uniform())
