@@ -16,7 +16,7 @@ def make_tracks(n=N, seed=1, **columns):
     """Return well fitted tracks whose pulls are standard normal and whose chi-square is right."""
     random = rng(seed)
     zeros = {c.name: np.zeros((n, *c.shape), c.dtype) for c in SCHEMAS["tracks"]}
-    zeros["match"] = np.zeros(n, np.int8)
+    zeros["match"] = zeros["other_mass"] = np.zeros(n, np.int8)
     values = {
         "event": np.arange(n),
         "charge": np.ones(n, np.int8),

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit.analysis.widths import Fraction
 from cgemit.chain.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
 from cgemit.chain.result import Result
-from cgemit.chain.settings import finder_of
+from cgemit.chain.settings import finder_of, mass_by
 from cgemit.detector.inventory import channels as strips
 from cgemit.reconstruction.candidates import HIT_V, HIT_X
 from cgemit.reconstruction.find.ckf import SeedLayers, have_seeds, wire_layers
@@ -207,6 +207,8 @@ class Finding(Shown):
     Attributes
     ----------
     finder, detector : str
+    mass : str
+        Particle whose mass the finder assumed, as text.
     candidates : CandidateCounts
         Hits of each candidate.
     particles : ParticleCounts
@@ -239,6 +241,7 @@ class Finding(Shown):
 
     finder: str
     detector: str
+    mass: str
     candidates: CandidateCounts
     particles: ParticleCounts
     classes: Mapping[str, npt.NDArray[np.int8]]
@@ -323,7 +326,7 @@ class Finding(Shown):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the results as text, name and value."""
-        rows = [("finder", self.finder), ("detector", self.detector)]
+        rows = [("finder", self.finder), ("mass assumed", self.mass), ("detector", self.detector)]
         share = _fraction(self.findable, self.charged)
         rows += [("findable", str(share)), *((f"  without: {name}", f"{n:,}") for name, n in self.removed.items())]
         rows.append(("findable, in layers that make no seed", f"{np.count_nonzero(self.seedless):,}"))
@@ -380,6 +383,7 @@ def finding(result: Result) -> Finding:
     return Finding(
         finder=finder_of(result.candidates),
         detector=result.detector.name,
+        mass=mass_by(result.candidates.meta),
         candidates=of_candidate,
         particles=of_particle,
         classes={"belle2": belle2(of_candidate), "acts": acts(of_candidate)},

@@ -39,7 +39,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     tracks : Table or Result
         Of kind "tracks", or with such a table. Tracks that were fitted well and measure their particle (`MatchStatus`)
         are used, and those of status `unconstrained` for quantities that they measure (not momenta); the others are
-        counted by status.
+        counted by status. Tracks fitted with the mass of another particle are used, and counted (`other_mass`).
     parameter : str
         Name or symbol, such as "dr", "d_rho" or "σ(d_ρ)"; all are in `cgemit.analysis.quantities.NAMES`.
     window : (low, high) or None
@@ -266,7 +266,7 @@ def resolution_against(
     bin_of[x == edges[-1]] = len(edges) - 2
     bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
     chosen = [bin_of == i for i in range(len(edges) - 1)]
-    state = {name: columns[name] for name in ("status", "match", "err_dz", "err_tanl")}
+    state = {name: columns[name] for name in ("status", "match", "other_mass", "err_dz", "err_tanl")}
     values = tuple(
         _measure(known, {name: one[rows] for name, one in state.items()}, sample[rows], known.name, unit, window)
         for rows in chosen
@@ -296,7 +296,8 @@ def _measure(
     usable = good & np.isfinite(values)
     left_out = counts_left_out(tracks["status"], tracks["match"], fitted)
     removed = _removed(left_out, int(np.count_nonzero(good & ~usable)))
-    return measure(values[usable], parameter=parameter, unit=unit, window=window, removed=removed)
+    other = int(np.count_nonzero(usable & (tracks["other_mass"] > 0)))
+    return measure(values[usable], parameter=parameter, unit=unit, window=window, removed=removed, other_mass=other)
 
 
 def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:

@@ -51,6 +51,8 @@ class Resolution(Comparable, Tabular):
         Rows outside `window`.
     tail, tail_error : float
         Fraction of rows more than 3 core sigmas from the core's mean; 0.0027 for a Gaussian.
+    other_mass : int
+        Rows used whose fit assumed the mass of another particle.
 
     Examples
     --------
@@ -78,12 +80,14 @@ class Resolution(Comparable, Tabular):
     outside: int
     tail: float
     tail_error: float
+    other_mass: int = 0
 
     def cells(self) -> list[str]:
         """Return the printed values, in the order of `HEAD`."""
         pairs = [(self.core, self.core_error), (self.q68, self.q68_error), (self.rms, self.rms_error),
                  (self.core_mean, self.core_mean_error), (100 * self.tail, 100 * self.tail_error)]  # fmt: skip
-        return [*(with_error(*pair) for pair in pairs), str(self.n), self.removed_text()]
+        rows = f"{self.n} ({self.other_mass} of another mass)" if self.other_mass else str(self.n)
+        return [*(with_error(*pair) for pair in pairs), rows, self.removed_text()]
 
     def columns(self) -> dict[str, list[Any]]:
         """Return all numbers as columns of one row; `removed` as text, the window as two columns."""
@@ -122,6 +126,7 @@ def measure(
     unit: str = "",
     window: tuple[float, float] | None = None,
     removed: tuple[tuple[str, int], ...] = (),
+    other_mass: int = 0,
 ) -> Resolution:
     """Return the widths of a sample.
 
@@ -135,6 +140,8 @@ def measure(
         Range of the RMS and the mean, in `unit`; None: all rows.
     removed : tuple of (str, int)
         Rows that were left out before, and why.
+    other_mass : int
+        Rows whose fit assumed the mass of another particle.
 
     Raises
     ------
@@ -161,7 +168,7 @@ def measure(
     return Resolution(
         parameter, unit, len(x), tuple(removed), core, core_error, core_mean, core_mean_error,
         q68, q68_error, rms, rms_error, mean, mean_error, (float(low), float(high)), len(x) - len(inside),
-        tail, tail_error,
+        tail, tail_error, other_mass,
     )  # fmt: skip
 
 

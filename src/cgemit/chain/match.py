@@ -228,6 +228,9 @@ def match(
     neither in purity nor in efficiency. The efficiency counts the first half turn alone. The class of a track
     (`MatchStatus`) is that of `cgemit.study.finding` by the definition of Belle II.
 
+    `other_mass` tells which tracks were fitted as another particle than theirs: their momenta and errors are those of
+    that hypothesis.
+
     The true helix is the particle's where it started. A track of another half turn is not a measurement of it: it has
     no residuals and no pulls.
 
@@ -291,6 +294,8 @@ def match(
     }
     decayed = np.append(particles["status"] == _core.TransportStatus.decayed, False)
     columns["decayed"] = np.where(known, decayed.take(of), -1)
+    other = tracks["hypothesis"] != np.append(np.abs(particles["pdg"]), 0).take(of)
+    columns["other_mass"] = np.where(known, other, -1)
     comparison = compare(tracks, particles, row, compiled(chamber).field)
     other = columns["match"] == MatchStatus.other_half_turn
     for name, values in comparison.items():

@@ -12,7 +12,17 @@ from typing import Any
 from cgemit.base.files import new_folder
 from cgemit.chain.match import counts_left_out, joined
 from cgemit.chain.record import Run, gun_data, read_run, record, write_about
-from cgemit.chain.settings import EVERY_RUN, TABLES, NotKeptError, Settings, detectors_of, finder_in, hits_by, left_out
+from cgemit.chain.settings import (
+    EVERY_RUN,
+    TABLES,
+    NotKeptError,
+    Settings,
+    detectors_of,
+    finder_in,
+    hits_by,
+    left_out,
+    mass_by,
+)
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.find.ckf import BEYOND, seedless
@@ -182,6 +192,12 @@ class Result:
         name = next((name for name in ("candidates", "tracks") if name in self.tables), None)
         return None if name is None else finder_in(about_of(self.tables, name)["meta"])
 
+    @property
+    def mass(self) -> str | None:
+        """Particles whose masses finder and fit assumed, as text; None where the run made no candidates."""
+        name = next((name for name in ("tracks", "candidates") if name in self.tables), None)
+        return None if name is None else mass_by(about_of(self.tables, name)["meta"])
+
     def __eq__(self, other: object) -> bool:
         """Compare everything but the timings."""
         if not isinstance(other, Result):
@@ -324,6 +340,8 @@ class Result:
         rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
         if self.finder is not None:
             rows.append(("hits", hits_by(self.finder)))
+        if self.mass is not None:
+            rows.append(("mass", self.mass))
         if self.finder == "ckf" and (missing := seedless(self.fit_detector or self.detector, self.settings.find)):
             rows.append(("seeds", missing))
         if beyond := self.beyond_search():

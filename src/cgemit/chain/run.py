@@ -285,7 +285,7 @@ def finder_of_run(job: Job, truths: Truths) -> Finder:
     if callable(job.finder):
         return job.finder
     settings, source = job.settings, job.source
-    return FINDERS[job.finder](find_settings(settings, source), fit_settings(settings, source), truths)
+    return FINDERS[job.finder](find_settings(settings, source, job.given), fit_settings(settings, source), truths)
 
 
 def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:

@@ -10,7 +10,8 @@ from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector
 from cgemit.detector.parts import Readout
 from cgemit.detector.readouts import READOUTS
-from cgemit.particles.gun import Guns, Source, usual_momentum
+from cgemit.particles.gun import Guns, Source, only_kind, usual_momentum
+from cgemit.particles.species import KNOWN, hypothesis_name
 from cgemit.reconstruction.candidates import Finder
 from cgemit.reconstruction.cluster import CLUSTERERS, clusterer_of
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
@@ -84,16 +85,24 @@ def fit_settings(settings: Settings, source: Source | Guns | None = None) -> Fit
     )
 
 
-def find_settings(settings: Settings, source: Source | Guns | None = None) -> FindSettings:
+def find_settings(settings: Settings, source: Source | Guns | None = None, given: Table | None = None) -> FindSettings:
     """Return the settings of the finder; a momentum of None becomes that of the fit, or the gun's.
+
+    A hypothesis of None becomes the particle that is shot or given, if there is one kind only.
 
     Parameters
     ----------
     settings : Settings
     source : Source, Guns or None
         What shoots the particles.
+    given : Table of kind "particles", or None
+        All particles of the run, if nothing shoots them.
     """
-    return replace(settings.find, momentum=settings.find.momentum or fit_settings(settings, source).momentum)
+    find, kind = settings.find, only_kind(source, given)
+    own = hypothesis_name(kind) if kind is not None and kind in KNOWN else None
+    return replace(
+        find, momentum=find.momentum or fit_settings(settings, source).momentum, hypothesis=find.hypothesis or own
+    )
 
 
 def register_readout(
@@ -235,6 +244,13 @@ def hits_text(table: Table) -> str:
 def hits_by(name: str) -> str:
     """Return how the hits of a finder of this name came to their tracks, as `hits_text`."""
     return {"truth": "assigned by truth", "given": "given with their candidates"}.get(name, f"found by {name}")
+
+
+def mass_by(meta: Mapping[str, Any]) -> str:
+    """Return which masses the finder or the fit of a table with this metadata assumed, for reports."""
+    if "hypothesis" in meta:
+        return str(meta["hypothesis"])
+    return "each particle's own" if finder_in(meta) == "truth" else "those of the candidates"
 
 
 class NotKeptError(AttributeError, ValueError):

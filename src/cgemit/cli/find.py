@@ -114,7 +114,7 @@ def numbers_of(found: Finding) -> dict[str, Any]:
 
     findable = Fraction(int(found.findable.sum()), int(found.charged.sum()))
     numbers: dict[str, Any] = {
-        "finder": found.finder, "findable": _plain(findable), "removed": dict(found.removed),
+        "finder": found.finder, "mass": found.mass, "findable": _plain(findable), "removed": dict(found.removed),
         "seedless": int(found.seedless.sum()),
     }  # fmt: skip
     for definition in ("belle2", "acts"):

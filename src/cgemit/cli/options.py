@@ -406,7 +406,8 @@ def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) ->
     """Add the particle whose mass the fit assumes, or the `several`."""
     parser.add_argument(
         "--hypothesis", metavar="NAME,..." if several else "NAME", type=names,
-        help="fit with the mass of e, mu, pi, K or p instead of the particle's own (fit.hypothesis)"
+        help="fit with the mass of e, mu, pi, K or p (fit.hypothesis) instead of that of the candidates: their "
+        "particle's, or with the finder ckf that of find.hypothesis"
         + ("; several, or all: one track for each" if several else ""),
     )  # fmt: skip
 

@@ -73,7 +73,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_output(parser, required=True)
     options.add_hypothesis(parser)
     options.add_readout(parser)
-    add_finder(parser, more=" (--set find.hypothesis=pi: the mass in their fit)")
+    add_finder(parser, more=" with the mass of the particle (--set find.hypothesis=pi: of another)")
     options.add_physics(parser)
     options.add_run(parser)
     options.add_common(parser)

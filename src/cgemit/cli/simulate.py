@@ -235,4 +235,4 @@ def _summary(result: Result) -> dict[str, Any]:
         "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
         "rows": result.rows,
     }  # fmt: skip
-    return summary | ({"removed": result.removed()} if "tracks" in result.tables else {})
+    return summary | ({"mass": result.mass, "removed": result.removed()} if "tracks" in result.tables else {})

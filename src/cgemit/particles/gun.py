@@ -46,6 +46,11 @@ class Source:
 
     multiplicity: int
 
+    @property
+    def kinds(self) -> frozenset[int] | None:
+        """Unsigned PDG numbers of the charged particles that may be shot; None if they are not known."""
+        return None
+
     def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
         """Return the columns of a particles table, rows in any order.
 
@@ -80,6 +85,16 @@ class Guns:
     def multiplicity(self) -> int:
         """Most particles in an event."""
         return sum(gun.multiplicity for gun in self.guns)
+
+    @property
+    def kinds(self) -> frozenset[int] | None:
+        """Unsigned PDG numbers of the charged particles that may be shot; None if they are not known."""
+        found: frozenset[int] = frozenset()
+        for gun in self.guns:
+            if gun.kinds is None:
+                return None
+            found |= gun.kinds
+        return found
 
     def __add__(self, other: Source | Guns) -> Guns:
         """Return these sources and another one, or others, together."""
@@ -196,6 +211,12 @@ class Gun(Source):
         if self.pt is not None and not problems:
             _check_across(self, problems)
         problems.report("gun", ParticleError)
+
+    @property
+    def kinds(self) -> frozenset[int]:
+        """Unsigned PDG number of the particle, if it is charged."""
+        kind = species(self.particle)
+        return frozenset([abs(kind.pdg)] if kind.charge else [])
 
     def shoot(self, seed: int, events: npt.NDArray[np.int64], number: int) -> dict[str, Array]:
         """Return the columns of a particles table.
@@ -338,6 +359,20 @@ def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_e
         if not isinstance(one, Source):
             problems.note("gun", type(one).__name__, "a Gun")
     problems.report("generate", ParticleError)
+
+
+def only_kind(source: Source | Guns | None, given: Table | None = None) -> int | None:
+    """Return the unsigned PDG number of all charged particles of a source, or of given ones; None if they differ.
+
+    Parameters
+    ----------
+    source : Source, Guns or None
+    given : Table of kind "particles", or None
+    """
+    kinds = None if source is None else source.kinds
+    if given is not None:
+        kinds = frozenset(np.unique(np.abs(given["pdg"][given["charge"] != 0])).tolist())
+    return next(iter(kinds)) if kinds is not None and len(kinds) == 1 else None
 
 
 def usual_momentum(source: Source | Guns | None) -> float | None:

@@ -129,6 +129,22 @@ class EventSample(Source):
         return DEFINITIONS[self.name].multiplicity
 
     @property
+    def kinds(self) -> frozenset[int]:
+        """Unsigned PDG numbers of the charged particles at the end of all decays."""
+        definition = DEFINITIONS[self.name]
+        ends: set[int] = set()
+        left, seen = list(definition.first), set(definition.first)
+        while left:
+            name = left.pop()
+            if name not in definition.modes:
+                kind = species(name)
+                ends |= {abs(kind.pdg)} if kind.charge else set()
+            products = {one for mode in definition.modes.get(name, ()) for one in mode.products}
+            left += sorted(products - seen)
+            seen |= products
+        return frozenset(ends)
+
+    @property
     def text(self) -> str:
         """What the events are."""
         return DEFINITIONS[self.name].text

@@ -124,6 +124,45 @@ def species(particle: str | int) -> Species:
     raise WrongValueError(f"{given!r:.80}", f"one of {names}", hint)
 
 
+def hypothesis_of(name: str) -> Species:
+    """Return the particle of a mass hypothesis: a name of `HYPOTHESES`, or of another charged particle.
+
+    Parameters
+    ----------
+    name : str
+
+    Raises
+    ------
+    WrongValueError
+        If there is no such particle, or it is neutral.
+    """
+    kind = HYPOTHESES.get(name) or species(name)
+    if not kind.charge:
+        raise WrongValueError(repr(name), "a charged particle")
+    return kind
+
+
+def is_hypothesis(name: str) -> bool:
+    """Return whether `hypothesis_of` knows a name."""
+    try:
+        hypothesis_of(name)
+    except WrongValueError:
+        return False
+    return True
+
+
+def hypothesis_name(pdg: int) -> str:
+    """Return the name of the hypothesis of a PDG number, unsigned or not; the number itself of unknown particles.
+
+    Parameters
+    ----------
+    pdg : int
+    """
+    names = {kind.pdg: name for name, kind in HYPOTHESES.items()}
+    number = abs(pdg)
+    return names.get(number) or (KNOWN[number].name if number in KNOWN else str(number))
+
+
 # Charges in thirds of e of the quarks 1 to 8, and of the other fundamental particles.
 _QUARKS = {flavour: (2, -1)[flavour % 2] for flavour in range(1, 9)}
 _FUNDAMENTAL = (

@@ -260,7 +260,8 @@ def fit(
     out = _core.fit(**core_arguments(detector, hits, mass, begin, settings, radii, charge))
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
-        "meta": {name: candidates.meta[name] for name in ("finder",) if name in candidates.meta}
+        "meta": {name: candidates.meta[name] for name in ("finder", "hypothesis") if name in candidates.meta}
+        | ({"hypothesis": ", ".join(names)} if names else {})
         | {"momentum": settings.momentum or USUAL_MOMENTUM}
         | ({} if settings.prior_sigma == FitSettings().prior_sigma else {"prior_sigma": list(settings.prior_sigma)})
     }

@@ -24,7 +24,7 @@ from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import InTurn, check_numbers
 from cgemit.base.version import __version__
 from cgemit.chain.record import gun_data, record, write_record
-from cgemit.chain.settings import FinderLike, Settings, hits_text
+from cgemit.chain.settings import FinderLike, Settings, hits_text, mass_by
 from cgemit.covariance.analytic import analytic
 from cgemit.covariance.result import Covariance
 from cgemit.covariance.tracks import core_width, mean
@@ -236,6 +236,11 @@ class ScanBase(Shown, Tabular):
         return ""
 
     @property
+    def mass(self) -> str:
+        """Particle whose mass the fit assumed, as text; empty without events."""
+        return ""
+
+    @property
     def removed(self) -> Mapping[str, Mapping[str, int]]:
         """Tracks that resolutions leave out, by sample and status."""
         return {}
@@ -320,7 +325,7 @@ def summary_of(scans: Sequence[ScanBase]) -> dict[str, Any]:
     methods = {scan.method for scan in scans}
     inputs |= {"method": methods.pop() if len(methods) == 1 else "both", "settings": first.settings.to_dict()}
     if simulated:
-        inputs["hits"] = simulated[0].hits
+        inputs["hits"], inputs["mass"] = simulated[0].hits, simulated[0].mass
     return {
         "program": "cgemit",
         "version": __version__,
@@ -471,6 +476,11 @@ class Scan(ScanBase):
         return hits_text(self.samples[0].tracks)
 
     @property
+    def mass(self) -> str:
+        """Particle whose mass the fit assumed, as text."""
+        return mass_by(self.samples[0].tracks.meta)
+
+    @property
     def removed(self) -> dict[str, Mapping[str, int]]:
         """Tracks that resolutions leave out, by sample and status."""
         return {s.label: s.removed for s in self.samples}
@@ -514,7 +524,8 @@ class Scan(ScanBase):
             rows.append(row)
         first = self.samples[0]
         shot = f"{first.detector.name}, {shot_text(first)}"
-        made = ", ".join(filter(None, [self.readout and f"readout {self.readout}", f"hits {self.hits}"]))
+        parts = [self.readout and f"readout {self.readout}", f"hits {self.hits}", f"mass {self.mass}"]
+        made = ", ".join(filter(None, parts))
         title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
         head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
         return title, [*head, "decayed", "fitted", "left out"], rows
@@ -583,7 +594,7 @@ def scan(
     settings : Settings, optional
         Of all stages.
     finder : "truth", "ckf" or callable
-        As of `cgemit.run`. Found tracks are fitted with the mass of ``settings.find.hypothesis``.
+        As of `cgemit.run`. Found tracks have the mass of the particle, or of ``settings.find.hypothesis``.
     threads : int, optional
         Default: all cores.
     progress : callable, optional
@@ -836,7 +847,8 @@ def compared(simulated: Scan, line: AnalyticScan) -> str:
     cells.append([counts_text(sample.removed) for sample in simulated.samples])
     title = (
         f"{first.detector.name}, {shot_text(first)}: core widths, simulated "
-        f"({simulated.samples[0].n_events} events at each momentum) and analytic, ratio simulated/analytic"
+        f"({simulated.samples[0].n_events} events at each momentum, mass {simulated.mass}) and analytic, ratio "
+        "simulated/analytic"
     )
     table = text_table(title, head, [list(row) for row in zip(*cells, strict=True)])
     return "\n".join([table, *filter(None, [simulated.note(), line.note()])])

@@ -154,6 +154,7 @@ MATCHES = (
         "share of the particle's hits of the first half turn that the candidate has; NaN without hits",
     ),
     column_of("i1", "decayed", "", "1 if the particle decayed in flight, 0 if not; -1 without a particle"),
+    column_of("i1", "other_mass", "", "1 if the fit assumed another particle, 0 if this one; -1 without a particle"),
     *_comparison(),
 )
 
@@ -448,7 +449,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **dict.fromkeys(("displaced", "used", "method", "digis.view", "steps.parent"), (0, 1)),
         **dict.fromkeys(("clusters.view", "refined_clusters.view", "residuals.view"), (0, 2)),
         **dict.fromkeys(("candidate_hits.view", "states.surface"), (0, 3)),
-        **dict.fromkeys(("side", "decayed"), (-1, 1)),
+        **dict.fromkeys(("side", "decayed", "other_mass"), (-1, 1)),
         "states.view": (-1, 2),
         "status": (0, 127),
         **{

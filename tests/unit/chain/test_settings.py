@@ -1,4 +1,4 @@
-"""Every setting, changed alone, changes the tables that it is for, and none of an earlier stage."""
+"""Every setting, changed alone, changes the tables that it is for, and none of an earlier stage; the mass of tracks."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 import cgemit as cg
 from cgemit.base.validate import kinds_of
 from cgemit.chain.settings import BY_STAGE
 from cgemit.detector.readouts import READOUTS, Readout
+from cgemit.particles import species
+from cgemit.particles.gun import generate, only_kind
+from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find import ckf
 from cgemit.simulation.digitize import digitize
@@ -337,3 +341,101 @@ def test_settings_of_the_fit_reach_the_analytic_resolution() -> None:
         if covariances[0] == covariances[1]:
             unseen.add(name)
     assert unseen == NOT_ANALYTIC
+
+
+KAON = {"p": 0.5, "cos_theta": (-0.6, 0.6)}
+
+
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [
+        (cg.Gun("K+", **KAON), 321),
+        (cg.Gun("K+", **KAON) + cg.Gun("K-", **KAON), 321),
+        (cg.Gun("K+", **KAON) + cg.Gun("n", **KAON), 321),
+        (cg.Gun("K+", **KAON) + cg.Gun("pi-", **KAON), None),
+        (cg.Gun("n", **KAON), None),
+        (cg.sample("slow-pions"), 211),
+        (cg.sample("ks-pipi"), 211),
+        (cg.sample("jpsi-rhopi"), 211),
+        (cg.sample("cosmic") + cg.Gun("mu+", **KAON), 13),
+        (cg.sample("electrons"), 11),
+        (cg.sample("beam-gas"), None),
+        (cg.sample("pipi-jpsi"), None),
+        (cg.sample("d0-d0bar"), None),
+        (None, None),
+    ],
+    ids=repr,
+)
+def test_sources_of_one_kind_of_particle(source, kind):
+    """Guns and samples tell it, and the particles that they shoot are of it."""
+    assert only_kind(source) == kind
+    if kind is not None:
+        shot = generate(source, 20, 1, detector=cg.load("besiii-cgem"))
+        assert set(np.abs(shot["pdg"][shot["charge"] != 0])) == {kind}
+        assert only_kind(None, shot) == kind
+
+
+@pytest.mark.parametrize(
+    ("gun", "hypothesis", "pdg", "name", "other"),
+    [
+        (cg.Gun("K+", **KAON), None, 321, "K", 0),
+        (cg.Gun("K+", **KAON) + cg.Gun("pi-", **KAON), None, 13, "mu", 1),
+        (cg.Gun("K+", **KAON), "pi", 211, "pi", 1),
+        (cg.Gun("alpha", p=3.0, cos_theta=(-0.6, 0.6)), None, 1000020040, "alpha", 0),
+        (cg.Gun("mu-", **KAON), None, 13, "mu", 0),
+    ],
+)
+def test_found_tracks_have_the_mass_of_their_particle(gun, hypothesis, pdg, name, other):
+    """Or that of the settings; tables, result and resolution name it and say where it is not the particle's."""
+    settings = cg.Settings(find=cg.FindSettings(hypothesis=hypothesis), simulate=cg.SimulateSettings(decays=False))
+    result = cg.run("besiii-cgem", gun, 20, 1, finder="ckf", settings=settings)
+    assert len(result.tracks) > 15
+    kind = species.hypothesis_of(name)
+    for column, value in (("pdg", pdg), ("mass", kind.mass), ("charge", abs(kind.charge))):
+        assert set(result.candidates[column]) == {value}
+    assert set(result.tracks["hypothesis"]) == {pdg}
+    assert result.tracks["other_mass"].tolist() == [other] * len(result.tracks)
+    assert result.mass == name
+    assert f"mass      {name}" in repr(result)
+    width = cg.resolution(result, "dr")
+    assert width.other_mass == other * width.n
+    assert (f"({width.n} of another mass)" in repr(width)) == bool(other)
+    assert cg.study.finding(result).mass == name
+
+
+def test_particles_of_a_table_have_their_mass_too():
+    """The kind is that of all events, not of those of a chunk; by truth each track has its own."""
+    guns = [cg.Gun(name, **KAON) for name in ("proton", "K-")]
+    protons, kaons = (generate(gun, 8, 1) for gun in guns)
+    arguments = {"finder": "ckf", "settings": cg.Settings(simulate=cg.SimulateSettings(decays=False))}
+    assert set(cg.run("besiii-cgem", protons, **arguments).tracks["hypothesis"]) == {2212}
+    columns = {name: np.concatenate([protons[name], kaons[name] + 8 * (name == "event")]) for name in protons}
+    both = particles_from(columns)
+    workers = cg.Workers(threads=1, chunk=8)
+    result = cg.run("besiii-cgem", both, **arguments, workers=workers)
+    assert set(result.tracks["hypothesis"]) == {13}
+    by_truth = cg.run("besiii-cgem", both, settings=arguments["settings"])
+    assert by_truth.mass == "each particle's own"
+    assert by_truth.tracks["hypothesis"].tolist() == [2212] * 8 + [321] * 8
+    assert not np.any(by_truth.tracks["other_mass"])
+    several = cg.run("besiii-cgem", protons, settings=cg.Settings(fit=cg.FitSettings(hypothesis=("mu", "p"))))
+    assert several.mass == "mu, p"
+    assert several.tracks["other_mass"].tolist() == [1, 0] * 8
+
+
+@pytest.mark.parametrize(("particle", "bias"), [("K+", -0.8), ("proton", -5.0)])
+def test_pulls_of_found_tracks(particle, bias):
+    """Kaons and protons are fitted as such; fitted as muons, as all were, they are many errors too slow."""
+    means = []
+    for name in (None, "mu"):
+        settings = cg.Settings(find=cg.FindSettings(hypothesis=name), simulate=cg.SimulateSettings(decays=False))
+        result = cg.run("besiii-cgem", cg.Gun(particle, **KAON), 100, 1, finder="ckf", settings=settings)
+        means.append(np.median(result.tracks["pull_p"]))
+    assert abs(means[0]) < 0.5
+    assert means[1] < bias
+
+
+@pytest.mark.parametrize("wrong", ["tau", "gamma", "pion", 13, ["pi"]])
+def test_hypotheses_that_are_none(wrong):
+    with pytest.raises(ValueError, match="hypothesis: got"):
+        cg.FindSettings(hypothesis=wrong)

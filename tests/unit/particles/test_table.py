@@ -457,6 +457,19 @@ def test_charges_of_unknown_particles(tmp_path, capsys):
         cg.run(DESIGN, cg.Gun("mu-", p=1, theta=1), 1, charges={13: -1})
 
 
+@pytest.mark.parametrize("charge", [2, -3])
+def test_any_given_charge_is_simulated_and_fitted(charge, tmp_path):
+    """The curvature is that of the charge, and the momentum of the track that of the particle."""
+    path = written(tmp_path, "P 3 -1 4900211 4 0 1 5.1 3 1\n")
+    result = cg.run(DESIGN, path, seed=1, charges={4900211: charge})
+    track = result.tracks[1]
+    assert result.particles["charge"].tolist() == [1, charge]
+    assert (track["status"], track["charge"], track["hypothesis"]) == (0, abs(charge), 4900211)
+    assert track["kappa"] == pytest.approx(charge / 4, rel=0.1)
+    assert abs(track["p"] - np.hypot(4, 1)) < 5 * track["err_p"]
+    assert track["truth_p"] == pytest.approx(np.hypot(4, 1))
+
+
 def test_the_rules_of_pdg_numbers_give_the_listed_charges(monkeypatch):
     listed = dict(species.KNOWN)
     for pdg, one in listed.items():

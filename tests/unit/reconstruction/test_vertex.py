@@ -52,7 +52,7 @@ def tracks_of(particles: cg.Table, *, smear: int | None = None) -> tuple[cg.Tabl
     tracks = cg.Table("tracks", columns, **particles.cover)
     same = {"event": particles["event"], "track": np.arange(n), "particle": particles["particle"]}
     same |= {"purity": np.ones(n), "efficiency": np.ones(n), "decayed": np.zeros(n, np.int8)}
-    same |= {"match": np.zeros(n, np.int8), "half_turn": np.zeros(n, np.int8)}
+    same |= {"other_mass": np.zeros(n, np.int8), "match": np.zeros(n, np.int8), "half_turn": np.zeros(n, np.int8)}
     from cgemit.detector import compiled
 
     same |= compare(tracks, particles, np.arange(n), compiled(DETECTOR).field)

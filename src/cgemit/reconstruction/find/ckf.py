@@ -17,7 +17,7 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import Detector, MeasurementLayer, WireLayer, load
 from cgemit.detector.channels import checked
-from cgemit.particles.species import HYPOTHESES, Hypothesis
+from cgemit.particles.species import Species, hypothesis_name, hypothesis_of, is_hypothesis
 from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.fit import FitSettings, compiled_matter
 from cgemit.reconstruction.states import USUAL_MOMENTUM
@@ -32,6 +32,7 @@ Layers = Annotated[int, Check(lambda value: 4 <= value <= 60, _COUNT.format(4, 6
 Gate = Annotated[float, Check(lambda value: 2 <= value <= 20, "a number from 2 to 20 standard deviations")]
 Efficiency = Annotated[float, Check(lambda value: 0.5 <= value < 1, "a probability from 0.5 to below 1")]
 Score = Annotated[float, Check(math.isfinite, "a finite number")]
+ParticleName = Annotated[str, Check(is_hypothesis, "e, mu, pi, K, p, or the name of another charged particle")]
 Length = Annotated[float, Check(lambda value: 0 < value <= 2000, "a length in mm, above 0, at most 2000")]
 
 
@@ -44,8 +45,10 @@ class FindSettings(SettingsData):
     method : str
         Source of the seeds: ``"segments"`` of the CGEM, circles in the drift ``"chamber"``, or ``"combined"``:
         segments, then circles from the remaining hits. A track may have hits of all layers.
-    hypothesis : str
-        Particle whose mass the finder assumes and the candidates have.
+    hypothesis : str or None
+        Particle whose mass and charge the finder assumes and the candidates have: ``"e"``, ``"mu"``, ``"pi"``, ``"K"``,
+        ``"p"``, or the name of another charged particle. None: in `run` the particle of the gun, sample or table, if
+        all charged ones are of one kind, else ``"mu"``.
     efficiency : float
         Probability that a crossed layer or cell has its hit.
     gate : float
@@ -89,7 +92,7 @@ class FindSettings(SettingsData):
     """
 
     method: Method = "combined"
-    hypothesis: Hypothesis = "mu"
+    hypothesis: ParticleName | None = None
     efficiency: Efficiency = 0.97
     gate: Gate = 4.5
     branches: Few = 5
@@ -296,13 +299,23 @@ def find_tracks(
 _WEAK_FIELD, _FIELD = 0.02, 1.0
 
 
+#: Assumed where neither the settings nor the source of the particles tell it.
+_USUAL = "mu"
+
+
+def _kind(settings: FindSettings) -> Species:
+    """Return the particle that the finder assumes."""
+    return hypothesis_of(settings.hypothesis or _USUAL)
+
+
 def _core_settings(settings: FindSettings, fit: FitSettings, weak: bool) -> dict[str, Any]:
     """Return the fields of the core's settings."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
-    method, hypothesis = values.pop("method"), values.pop("hypothesis")
+    method, kind = values.pop("method"), _kind(settings)
+    del values["hypothesis"]
     return values | {
         "segments": method in ("combined", "segments"), "chamber": method != "segments",
-        "mass": HYPOTHESES[hypothesis].mass, "charge": float(abs(HYPOTHESES[hypothesis].charge)),
+        "mass": kind.mass, "charge": float(abs(kind.charge)),
         "momentum": (settings.momentum or fit.momentum or USUAL_MOMENTUM) if weak else 0.0,
         "least_width": fit.least_width, "delta_strips": fit.delta_strips,
     }  # fmt: skip
@@ -420,10 +433,10 @@ def _tables(
     """Return the tables of the finder; `view` and `row` of each measurement."""
     event = clusters.events[found["event"]]
     n = len(event)
-    kind = HYPOTHESES[settings.hypothesis]
+    kind = _kind(settings)
     candidates = {
         "event": event, "candidate": np.arange(n) - np.searchsorted(event, event),
-        "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass), "charge": np.full(n, abs(kind.charge)),
+        "pdg": np.full(n, abs(kind.pdg)), "mass": np.full(n, kind.mass), "charge": np.full(n, abs(kind.charge)),
     }  # fmt: skip
     candidate = np.repeat(np.arange(n), np.diff(found["offsets"]))
     of_points = np.flatnonzero(view[found["hits"]] == HIT_XV)
@@ -432,7 +445,7 @@ def _tables(
     row[of_points] = _rejoined(candidate[of_points], found["hits"][of_points], points, measurements)
     once = row >= 0
     hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "row": row[once]}
-    about = clusters.cover | {"meta": {"finder": "ckf"}}
+    about = clusters.cover | {"meta": {"finder": "ckf", "hypothesis": hypothesis_name(kind.pdg)}}
     return {
         "candidates": Table("candidates", candidates, **about),
         "candidate_hits": Table("candidate_hits", hits, **about),

@@ -13,7 +13,7 @@ from cgemit.analysis.widths import HEAD
 from cgemit.base.files import RECORD
 from cgemit.base.version import __version__
 from cgemit.chain.match import measuring
-from cgemit.chain.settings import Settings, finder_of, hits_text
+from cgemit.chain.settings import Settings, finder_of, hits_text, mass_by
 from cgemit.reconstruction.candidates import finder_name
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.paper.published import FIGURES, Group, PaperFigure, paper_values
@@ -30,9 +30,10 @@ _PURE = ", which no finder without truth can do: the resolutions contain no wron
 def _hits_note(study: Reproduction) -> str:
     tracks = next(iter(study.samples.values())).tracks
     if finder_of(tracks) == "truth":
-        return f"Hits are {hits_text(tracks)}{_PURE}."
+        return f"Hits are {hits_text(tracks)}{_PURE}. Mass in the fit: {mass_by(tracks.meta)}."
     shares = ", ".join(f"{100 * _found(s) / s.n_events:.2f} % in {s.detector.name}" for s in _main(study))
-    return f"Hits are {hits_text(tracks)}. Muons of 1 GeV/c with a track: {shares}."
+    mass = f"Mass in the fit: {mass_by(tracks.meta)}"
+    return f"Hits are {hits_text(tracks)}. {mass}. Muons of 1 GeV/c with a track: {shares}."
 
 
 def _found(sample: Sample) -> int:

@@ -14,7 +14,7 @@ from cgemit.analysis.curves import WINDOW, Line, windowed_resolution
 from cgemit.analysis.widths import Resolution
 from cgemit.chain.record import versions
 from cgemit.chain.result import Result
-from cgemit.chain.settings import FinderLike, Settings, hits_text
+from cgemit.chain.settings import FinderLike, Settings, hits_text, mass_by
 from cgemit.detector.parts import Readout
 from cgemit.study.paper.published import paper_values
 from cgemit.study.samples import Sample
@@ -162,7 +162,7 @@ class Reproduction(Shown, Tabular):
                 "events": self.inputs.events, "momenta": list(MOMENTA),
                 "events_per_momentum": self.inputs.events_per_momentum, "quick": self.inputs.quick,
                 "settings": self.inputs.settings.to_dict(), "field": self.inputs.field,
-                "hits": hits_text(self.every_sample[0].tracks),
+                "hits": hits_text(self.every_sample[0].tracks), "mass": mass_by(self.every_sample[0].tracks.meta),
             },
             "seed": self.inputs.seed,
             "timings": dict(self.timings),
