@@ -242,7 +242,7 @@ def test_several_particles_and_detectors_from_the_shell(tmp_path: Path, capsys: 
 def test_titles_name_readout_and_finder() -> None:
     detector = cg.load(DESIGN).with_readout("gaussian")
     one = scan(detector, [1.0], events=60, finder="ckf")
-    assert str(one).splitlines()[0].endswith("errors; readout gaussian, hits found by ckf")
+    assert str(one).splitlines()[0].endswith("errors; readout gaussian, hits found by ckf, mass mu")
     assert resolutions([one]).get_suptitle().endswith("momentum, readout gaussian, hits found by ckf")
     line = scan_analytic(detector, [1.0], cos_theta=0.0)
     assert str(line).splitlines()[0].endswith("core widths, analytic; readout gaussian")
