@@ -1,7 +1,7 @@
 """The best that any estimate can do: least squares with the noise of matter, worked out without the fit.
 
 A track is followed through detector and matter in plain numpy, without the compiled core; formulas of loss and
-scattering are written anew from their papers. Only the matter that acts with a slab is the fit's. What the
+scattering are written anew from their papers. Only the weights of matter that acts together are the fit's. What the
 track measures is differentiated by the helix parameters, and by one scattering angle or loss after the other, through
 differences. With A and B these derivatives (B in standard deviations) and R the variances of the measurements, the
 covariance of generalised least squares is (A^T V^-1 A)^-1, V = R + B B^T.
@@ -173,13 +173,16 @@ def _distance(flight: Flight, layer: WireLayer, wire: int) -> Floats:
 class TracedSlab:
     """Matter at one radius, and what it does to a track.
 
-    On the track all matter has the sum xi, and the matter that acts with the slab has chi_c^2.
+    On the track all matter has the sum xi, each slab's times the share of its losses that the fit does not see, and the
+    matter that acts with the slab has chi_c^2. The cut of the loss is scaled by `per_unseen`.
     """
 
-    def __init__(self, slab: Slab, whole_xi: float, acting_chi_c2: float, cut: tuple[float, float]) -> None:
+    def __init__(
+        self, slab: Slab, whole_xi: float, acting_chi_c2: float, cut: tuple[float, float], per_unseen: float = 1.0
+    ) -> None:
         self.slab, self.radius, self.gap, self.spread = slab, slab.radius, slab.gap, slab.spread
         self.half_length = max(shell.half_length for shell in slab.shells)
-        self.whole_xi, self.acting_chi_c2, self.cut = whole_xi, acting_chi_c2, cut
+        self.whole_xi, self.acting_chi_c2, self.cut, self.per_unseen = whole_xi, acting_chi_c2, cut, per_unseen
         self.shifts = slab.spread * 13.6e-3 * np.sqrt(slab.x0) > _THICK
         self.sigma = np.zeros(5)
 
@@ -207,7 +210,7 @@ class TracedSlab:
         beta2 = p * p / (p * p + mass * mass)
         w_max, xi = _w_max(p, mass), self.slab.xi * path / beta2
         multiple, share = self.cut
-        cut = np.minimum(multiple * self.whole_xi / beta2 + share * p * np.sqrt(beta2), w_max)
+        cut = np.minimum((multiple * self.whole_xi / beta2 + share * p * np.sqrt(beta2)) * self.per_unseen, w_max)
         bracket = np.log(2 * ELECTRON * (p / mass) ** 2 * cut) - beta2 * (1 + cut / w_max)
         bracket = bracket + self.slab.log_term(np.log(p / mass))
         return xi * bracket, np.sqrt(xi * cut * (1 - beta2 * cut / w_max / 2))
@@ -254,11 +257,17 @@ def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> li
         elif slab.ends:
             break
     stretch = float(np.hypot(1, tanl))
-    xi = stretch * sum(slab.xi for slab in crossed)
+    compact = tuned(detector)
+    unseen = compact.unseen
+    per_unseen = np.where(unseen > 0.01, 1 / np.maximum(unseen, 0.1), 1.0)
+    xi = stretch * sum(slab.xi * share for slab, share in zip(found, unseen, strict=True) if slab in crossed)
     chi_c2 = stretch * sum(row[1] for slab in crossed for row in _elements(slab))
     own = [stretch * sum(row[1] for row in _elements(slab)) for slab in found]
-    acting = np.maximum(np.minimum(stretch * tuned(detector).acting, chi_c2), own)
-    return [TracedSlab(slab, xi, float(one), cut) for slab, one in zip(found, acting, strict=True)]
+    acting = np.maximum(np.minimum(stretch * compact.acting, chi_c2), own)
+    return [
+        TracedSlab(slab, xi, float(one), cut, float(scale))
+        for slab, one, scale in zip(found, acting, per_unseen, strict=True)
+    ]
 
 
 Stack = Callable[[cg.Detector, float, tuple[float, float]], list[TracedSlab]]
@@ -368,6 +377,28 @@ def optimum(
     bias = np.append(bias, _bias_of_p(track.helix, found.cov, bias * sigma))
     pull = bias - _pull_of_errors(track, found) if pulls else np.full(6, np.nan)
     return Optimum(found.cov, bias, linear_bias, pull)
+
+
+def unseen(
+    detector: cg.Detector, hits: Sequence[Hit], helix: npt.ArrayLike, mass: float, cut: tuple[float, float]
+) -> Floats:
+    """Return how much the optimal estimate of kappa changes by a loss in each slab, over the change of kappa there.
+
+    Parameters
+    ----------
+    detector, hits, helix, mass, cut
+        As of `optimum`.
+    """
+    helix = np.asarray(helix, np.float64)
+    hits = [replace(hit, about=float(helix[1]) + np.pi / 2) for hit in hits]
+    track = _Track(detector, hits, helix, mass, cut, stack_of)
+    found = _linear(track)
+    p = float(np.hypot(1, helix[4]) / abs(helix[2]))
+    shares = np.zeros(len(track.stack()))
+    for (slab, which, sigma), change in zip(found.noise, (found.gain @ found.by_noise)[2], strict=True):
+        if which == 2:  # energy that is lost
+            shares[slab] = change / (helix[2] * sigma * np.hypot(p, mass) / p**2)
+    return shares
 
 
 def _bias_of_p(helix: Floats, cov: Floats, bias: Floats) -> float:

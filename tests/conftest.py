@@ -36,7 +36,8 @@ def equal_weights(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     from cgemit import fit_matter
     from cgemit.detector.core import forget
 
-    monkeypatch.setattr(fit_matter, "_with_shared_scattering", lambda core, *_: core)
+    monkeypatch.setattr(fit_matter, "_muon_terms", lambda *_: None)
+    monkeypatch.setattr(fit_matter, "_assumed", lambda core: core)
     monkeypatch.setattr(fit_matter, "_kept", fit_matter._tuned)
     forget()  # and the momentum errors that presets have kept
     yield

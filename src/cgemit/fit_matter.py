@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.detector.core import compiled
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
-from cgemit.detector.parts import CgemLayer, DriftChamber, Layer, pitches
+from cgemit.detector.parts import CgemLayer, Layer, pitches
 from cgemit.particles.species import species
-from cgemit.units import GEV_PER_T_MM
+
+Floats = npt.NDArray[np.float64]
 
 MOST_MOMENTUM_ERROR = _core.USUAL_MOMENTUM_ERROR  #: Largest relative error of momenta that straggling is counted for.
 _MUON = species("mu-").mass
-_KAPPA = 9  # its variance among those of the upper triangle of a covariance
+_MOMENTUM = 1.0  # GeV/c, of that muon
+_KAPPA = 2  # its number among the parameters
 
 
 def tuned(
@@ -48,7 +51,7 @@ def tuned(
     matter : bool
         Whether there is matter.
     momentum_error : float or None
-        See `FitSettings`. None: that of the detector, `usual_momentum_error`.
+        See `FitSettings`. None: that of the detector, `usual_momentum_error`; of electrons, that at their momentum.
 
     Raises
     ------
@@ -63,16 +66,40 @@ def tuned(
     >>> print(compiled(det).acting[:2], (1e7 * tuned(det).acting[:2]).round(1))  # GeV2
     [inf inf] [6.6 6.3]
     """
-    error = usual_momentum_error(detector) if momentum_error is None else momentum_error
-    return _kept(detector, screening, loss, radiation, merge, matter, error)
+    return _kept(detector, screening, loss, radiation, merge, matter, momentum_error).core
+
+
+class _Tuned(NamedTuple):
+    """A compiled detector, and the relative errors of momenta that its loss is for, see `_momentum_errors`."""
+
+    core: _core.Detector
+    heavy: float
+    light: tuple[float, float]
 
 
 def _tuned(
-    detector: Detector, screening: str, loss: str, radiation: bool, merge: bool, matter: bool, momentum_error: float
-) -> _core.Detector:
-    core = compiled(detector, merge, screening, gaps=False, matter=matter)
-    core = core.with_loss(loss=getattr(_core.CoreLoss, loss), radiation=radiation, momentum_error=momentum_error)
-    return _with_shared_scattering(core, detector.layers) if matter else core
+    detector: Detector, screening: str, loss: str, radiation: bool, merge: bool, matter: bool,
+    momentum_error: float | None,
+) -> _Tuned:  # fmt: skip
+    core, choice = compiled(detector, merge, screening, gaps=False, matter=matter), getattr(_core.CoreLoss, loss)
+    heavy = MOST_MOMENTUM_ERROR if momentum_error is None else momentum_error
+    light = 0.0, heavy
+    if matter:
+        core = _assumed(core)
+        terms = _muon_terms(core, detector.layers)
+        if terms is not None:
+            core = _with_shared_matter(core, terms)
+            # With this matter the muon scatters less than with all of it.
+            terms = _muon_terms(core, detector.layers) if momentum_error is None else None
+        if terms is not None:
+            heavy, light = _momentum_errors(terms, core.n_slabs)
+    core = core.with_loss(loss=choice, radiation=radiation, momentum_error=heavy, light_error=light)
+    return _Tuned(core, heavy, light)
+
+
+def _assumed(core: _core.Detector) -> _core.Detector:
+    """Return the detector in which the muon is fitted: all matter acts alike, the error counts no straggling."""
+    return core.untuned().with_loss(loss=_core.CoreLoss.truncated, radiation=True, momentum_error=0.0)
 
 
 _kept = once(_tuned)
@@ -93,48 +120,83 @@ def with_hits_of(kept: _core.Detector, core: _core.Detector, layers: Sequence[La
     """
     if not _core.same_surfaces(kept, core):
         return core
-    return _with_shared_scattering(core.with_acting(np.full(core.n_slabs, np.inf)), layers, kept)
+    assumed = _assumed(core)
+    terms = _muon_terms(assumed, layers, kept)
+    if terms is None:
+        return core
+    shared = _with_shared_matter(assumed, terms)
+    return core.with_acting(shared.acting).with_unseen(shared.unseen)
 
 
-@once
 def usual_momentum_error(detector: Detector) -> float:
-    """Return the relative error of momenta that the fit counts straggling for, see `FitSettings.momentum_error`.
+    """Return the relative error of momenta that the fit of heavy particles counts straggling for.
 
-    The expected error of a muon of 1 GeV/c across the beam, at most 0.3 %. The error without matter is tried first:
-    R.L. Gluckstern, Nucl. Instrum. Methods 24 (1963) 381.
+    See `FitSettings.momentum_error`: without straggling, of a muon of 1 GeV/c across the beam, at most 0.3 %.
 
     Parameters
     ----------
     detector : Detector
     """
-    layers = detector.layers
-    errors = [_error(layer, 0) for layer in layers]
-    seen = [(layer.r_mid, layer.r_mid, error, 1) for layer, error in zip(layers, errors, strict=True) if error > 0]
-    if detector.drift_chamber and detector.drift_chamber.layers:
-        seen.append(_reach(detector.drift_chamber))
-    first, last, least, many = zip(*seen, strict=True) if seen else ((0.0,), (0.0,), (0.0,), (0,))
-    lever, number = max(last) - min(first), sum(many)
-    sagitta = GEV_PER_T_MM * abs(detector.field.bz) * lever**2
-    if number < 3 or min(least) * math.sqrt(720 / (number + 4)) > MOST_MOMENTUM_ERROR * sagitta:
-        return MOST_MOMENTUM_ERROR
-    found = _muon_across(tuned(detector, momentum_error=0.0), layers)
-    if found is None:
-        return MOST_MOMENTUM_ERROR
-    return float(min(MOST_MOMENTUM_ERROR, math.sqrt(found["covariance"][0, _KAPPA])))
+    return _kept(detector, "wentzel", "truncated", True, True, True, None).heavy
 
 
-def _with_shared_scattering(
-    core: _core.Detector, layers: Sequence[Layer], hits_of: _core.Detector | None = None
-) -> _core.Detector:
-    """Return a detector in which every slab knows which matter acts with it."""
+def unseen_cut(
+    detector: Detector, screening: str, radiation: bool, momentum_error: float | None, p: float, tanl: float
+) -> float:
+    """Return the loss of electrons above which the fit counts none, as a share of p, if all of it were unseen.
+
+    That of ``loss="truncated"``: collisions and photons that lose more are tails.
+
+    Parameters
+    ----------
+    detector, screening, radiation, momentum_error
+        As of `tuned`.
+    p, tanl : float
+        Of the track at the origin, GeV/c and 1.
+    """
+    found = _kept(detector, screening, "truncated", radiation, True, True, momentum_error)
+    measured, scattered = found.light
+    path = math.hypot(1.0, tanl)
+    error = math.hypot(measured * p / path, scattered * math.sqrt(path))
+    xi = _core.total_matter(found.core, tanl)[1]
+    return _core.CORE_CUT_XI * xi / p + _core.CORE_CUT_SHARE / MOST_MOMENTUM_ERROR * error
+
+
+def _with_shared_matter(core: _core.Detector, terms: Floats) -> _core.Detector:
+    """Return a detector in which every slab knows which matter acts with it, and how much of its loss is unseen."""
+    first = _first_slab(terms, core.n_slabs)
+    core = core.with_shared_scattering(parts=terms[first:-1:2], variances=terms.sum(axis=0))
+    return core.with_shared_loss(terms[first + 1 : -1 : 2, _KAPPA], p=_MOMENTUM, mass=_MUON)
+
+
+def _momentum_errors(terms: Floats, n_slabs: int) -> tuple[float, tuple[float, float]]:
+    """Return relative errors of momenta without straggling, from the parts of that muon's variance of kappa.
+
+    Returns
+    -------
+    heavy : float
+        Of the muon, at most `MOST_MOMENTUM_ERROR`.
+    light : (float, float)
+        Of electrons of any momentum: by hits, per GeV/c of transverse momentum, and by scattering.
+    """
+    first = _first_slab(terms, n_slabs)
+    hits, scatters = (math.sqrt(part[:, _KAPPA].sum()) for part in (terms[:first], terms[first:-1:2]))
+    beta = _MOMENTUM / math.hypot(_MOMENTUM, _MUON)
+    heavy = _MOMENTUM * math.hypot(hits, scatters)
+    return min(MOST_MOMENTUM_ERROR, heavy), (hits, _MOMENTUM * scatters * beta)
+
+
+def _first_slab(terms: Floats, n_slabs: int) -> int:
+    """Return the first term of slabs, after those of hits: scattering and straggling of each, then the prior."""
+    return len(terms) - 1 - 2 * n_slabs
+
+
+def _muon_terms(core: _core.Detector, layers: Sequence[Layer], hits_of: _core.Detector | None = None) -> Floats | None:
+    """Return the budget of a muon across the beam, (terms, 5 parameters); None where it cannot be fitted."""
     variants = {"variants": [core]} if hits_of else {}
     found = _muon_across(hits_of or core, layers, budget=True, **variants)
-    if found is None:
-        return core
-    # Terms of the budget: hits, scattering and straggling of each slab, the prior. The last column is a covariance.
-    terms = found["budget"][0, :, :5]
-    parts = terms[len(terms) - 1 - 2 * core.n_slabs : -1 : 2]
-    return core.with_shared_scattering(parts=parts, variances=terms.sum(axis=0))
+    # The last column is a covariance.
+    return None if found is None else np.ascontiguousarray(found["budget"][0, :, :5])
 
 
 def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
@@ -143,7 +205,7 @@ def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> d
     # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs. Tuned detectors are
     # kept: with the scalar kernels they are the same whichever instruction set was in use when they were made.
     found = _core.covariances(
-        core, phi=0.1 * one, kappa=-one, tanl=none, mass=_MUON * one, scatters=none, samples=1, scalar=True,
+        core, phi=0.1 * one, kappa=-one / _MOMENTUM, tanl=none, mass=_MUON * one, scatters=none, samples=1, scalar=True,
         phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
         model={
             "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,
@@ -157,14 +219,3 @@ def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> d
 
 def _error(layer: Layer, view: int) -> float:
     return pitches(layer)[view] / math.sqrt(12) if isinstance(layer, CgemLayer) else layer.errors[view]
-
-
-@once
-def _reach(chamber: DriftChamber) -> tuple[float, float, float, int]:
-    """Return the radii of the first and the last wires, their least error, and the number of layers."""
-    return (
-        chamber.layers[0].r_mid,
-        chamber.layers[-1].r_mid,
-        min(one.sigma for one in chamber.layers),
-        len(chamber.layers),
-    )

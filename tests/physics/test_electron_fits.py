@@ -31,33 +31,39 @@ def fitted(detector: str, particle: str, p: float, loss: str = "truncated") -> F
     result = cg.run(detector, cg.Gun(particle, p=p, cos_theta=0.0), N, seed=45, settings=settings)
     good = result.tracks["status"] == cg.FitStatus.ok
     expected = cg.analytic(detector, particle, p=p, cos_theta=0.0, fit=settings.fit).sigma("p") * 1e-3 / p
-    pulls = {name: core_of(result.matches[f"pull_{name}"][good]) for name in PULLS}
+    pulls = {name: core_of(result.matches[f"pull_{name}"][good], 3.0 if name == "kappa" else 2.0) for name in PULLS}
     return Fitted(float(expected), np.asarray(result.tracks["p"][good]) / p, pulls)
 
 
 def core_is_expected(found: Fitted) -> None:
-    """The expected error is that of the core, within 3 % beside the statistical error."""
-    core = core_of(found.ratio)
-    assert_within(core.width, found.expected, np.hypot(core.error, 0.01 * found.expected), 3.0, "core of p")
+    """The expected error is that of the core within 3 sigmas, to 4 % beside the statistical error."""
+    core = core_of(found.ratio, 3.0)
+    assert_within(core.width, found.expected, np.hypot(core.error, 0.0133 * found.expected), 3.0, "core of p")
 
 
 def mode_is_true(found: Fitted) -> None:
-    """The most probable momentum is the true one, within a tenth of the error."""
-    assert abs(mode_of(found.ratio, found.expected) - 1) < 0.1 * found.expected
+    """The most probable momentum is the true one, within 0.05 % and a quarter of the error."""
+    assert abs(mode_of(found.ratio, found.expected) - 1) < min(5e-4, 0.25 * found.expected)
 
 
 def pulls_are_standard(found: Fitted) -> None:
-    """Pulls have cores of width 1 about 0."""
+    """Pulls have cores of width 1 about 0.
+
+    Those of kappa within 3 sigmas, as for other particles; of the others within 2: photons before the first hit turn
+    phi0 and d_rho.
+    """
     for name, pull in found.pulls.items():
         assert abs(pull.width - 1) < 0.07, name
-        assert abs(pull.mean) < 0.12, name  # photons before the first hit turn phi0 and d_rho
+        assert abs(pull.mean) < 0.12, name
 
 
 GATES = (core_is_expected, mode_is_true, pulls_are_standard)
 
 
 @pytest.mark.parametrize("particle", ["e-", "e+"])
-@pytest.mark.parametrize(("detector", "p"), [("besiii-cgem", 1.0), ("besiii-idc", 1.0)])
+@pytest.mark.parametrize(
+    ("detector", "p"), [("besiii-cgem", 0.3), ("besiii-cgem", 1.0), ("besiii-idc", 2.0), ("idea-like", 2.0)]
+)
 @pytest.mark.parametrize("gate", GATES)
 def test_the_core_of_electrons(detector, particle, p, gate):
     gate(fitted(detector, particle, p))

@@ -202,10 +202,11 @@ def test_the_switch_is_one_of_electrons(particle):
     if particle == "mu-":
         assert runs[0].tracks == runs[1].tracks
         return
-    # Photons below the cut take 0.025 % of the momentum from most tracks.
+    # Photons below the cut take 0.04 % of the momentum from most tracks. Their variance, 2/3 t y^2 with t = 0.026 and
+    # y = 1 %, is a tenth of that of the others.
     shift = np.median(with_it["p"] - without["p"]) / 0.8
     assert 1e-4 < shift < 6e-4
-    assert 1.01 < np.median(with_it["err_kappa"]) / np.median(without["err_kappa"]) < 1.05
+    assert 1.01 < np.median(with_it["err_kappa"]) / np.median(without["err_kappa"]) < 1.07
     start = runs[0].tracks
     out = [extrapolate("besiii-cgem-design", start, 180.0, radiation=on) for on in (True, False)]
     ratio = out[0]["kappa"] / out[1]["kappa"]

@@ -54,7 +54,8 @@ class FitSettings(SettingsData):
         collisions, or Landau's ``"most_probable"`` one (docs/methods/matter.md).
     momentum_error : float or None
         Relative error of the momentum, for ``loss="truncated"``: collisions that lose more than 2.3 errors are seen as
-        tails and do not count (docs/methods/matter.md). None: that of a muon of 1 GeV/c, at most 0.3 %.
+        tails and do not count (docs/methods/matter.md). None: that of a muon of 1 GeV/c by hits and scattering, at most
+        0.3 %, and of electrons that of their own momentum.
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung, cut as `loss` says like collisions
         (docs/methods/matter.md).

@@ -13,6 +13,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/chamber.hpp"
 #include "bindings/gap.hpp"
+#include "bindings/matter.hpp"
 #include "common/angles.hpp"
 #include "common/problems.hpp"
 #include "detector/start_radius.hpp"
@@ -230,7 +231,7 @@ void bind_detector(py::module_& module) {
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(chamber.layers), std::move(matter));
              prepare_scattering(detector, screening, simulated);
-             prepare_loss(detector, CoreLoss::truncated, true, usual_momentum_error);
+             prepare_loss(detector, CoreLoss::truncated, true, MomentumError(usual_momentum_error));
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
@@ -242,15 +243,27 @@ void bind_detector(py::module_& module) {
            "twice if the radius is negative.")
       .def(
           "with_loss",
-          [](Detector detector, CoreLoss loss, bool radiation, double momentum_error) {
+          [](Detector detector, CoreLoss loss, bool radiation, double momentum_error,
+             const std::optional<std::array<double, 2>>& light_error) {
+            MomentumError error(momentum_error);
+            if (light_error) {
+              error.measured = (*light_error)[0];
+              error.scattered = (*light_error)[1];
+            }
             Problems problems;
-            Part(problems, "loss").within("momentum_error", momentum_error, 0, 1);
+            Part part(problems, "loss");
+            part.within("momentum_error", momentum_error, 0, 1);
+            part.within("light_error", error.measured, 0, HUGE_VAL);
+            part.within("light_error", error.scattered, 0, HUGE_VAL);
             problems.raise("detector");
-            prepare_loss(detector, loss, radiation, momentum_error);
+            prepare_loss(detector, loss, radiation, error);
             return detector;
           },
           py::kw_only(), py::arg("loss"), py::arg("radiation"), py::arg("momentum_error"),
-          "The detector with another energy loss that the fit subtracts.")
+          py::arg("light_error") = py::none(),
+          "The detector with another energy loss that the fit subtracts, for relative errors of the "
+          "momentum; "
+          "`light_error` is that of electrons by hits, per GeV/c, and by scattering.")
       .def(
           "with_shared_scattering",
           [](Detector detector, const Array<double>& parts, const Array<double>& variances) {
@@ -267,6 +280,16 @@ void bind_detector(py::module_& module) {
           py::kw_only(), py::arg("parts"), py::arg("variances"),
           "The detector with the matter that acts with each slab, from the variances of the parameters of "
           "one track and the parts of each slab's scatters in them.")
+      .def(
+          "with_shared_loss",
+          [](Detector detector, const Array<double>& variances, double p, double mass, double tanl) {
+            const auto n = static_cast<py::ssize_t>(detector.slabs.size());
+            share_loss(detector, column(variances, "variances", n), particle(p, mass, 1.0), tanl);
+            return detector;
+          },
+          py::arg("variances"), py::kw_only(), py::arg("p"), py::arg("mass"), py::arg("tanl") = 0.0,
+          "The detector with the share of a loss in each slab that the fit takes for another kappa, from the "
+          "variances of kappa, ((GeV/c)^-1)^2, by the stragglings of a particle from the origin.")
       .def(
           "in_field",
           [](Detector detector, double bz) {
@@ -299,6 +322,36 @@ void bind_detector(py::module_& module) {
                                std::vector<double> acting;
                                for (const Slab& slab : d.slabs) acting.push_back(slab.acting);
                                return to_numpy(std::move(acting));
+                             })
+      .def(
+          "untuned",
+          [](Detector detector) {
+            double last = detector.layers.empty() && detector.wires.empty() ? HUGE_VAL : 0;  // that measures
+            for (const MeasuringLayer& layer : detector.layers) last = std::max(last, layer.r_readout);
+            for (const WireLayer& layer : detector.wires) last = std::max(last, std::sqrt(layer.waist));
+            double before = 0;
+            for (const Slab& slab : detector.slabs)
+              if (slab.radius < last) before += slab.chi_c2;
+            for (Slab& slab : detector.slabs) {
+              slab.acting = slab.radius < last ? before : HUGE_VAL;
+              set_unseen(slab, slab.radius < last ? 1 : 0);
+            }
+            return detector;
+          },
+          "The detector in which all matter before the last measurement acts alike.")
+      .def(
+          "with_unseen",
+          [](Detector detector, const Array<double>& unseen) {
+            const auto values = column(unseen, "unseen", static_cast<py::ssize_t>(detector.slabs.size()));
+            for (std::size_t i = 0; i < detector.slabs.size(); ++i) set_unseen(detector.slabs[i], values[i]);
+            return detector;
+          },
+          py::arg("unseen"), "The detector with other shares of losses that the fit does not see.")
+      .def_property_readonly("unseen",
+                             [](const Detector& d) {
+                               std::vector<double> unseen;
+                               for (const Slab& slab : d.slabs) unseen.push_back(slab.unseen);
+                               return to_numpy(std::move(unseen));
                              })
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_layers", [](const Detector& d) { return d.layers.size(); })

@@ -81,11 +81,14 @@ struct alignas(64) Slab {
 
   double acting = HUGE_VAL;  // GeV^2 at normal incidence, chi_c^2 of the matter that acts with this slab, its
                              // own included, times (p beta)^2; infinite: all (`share_scattering`)
-  double x0;                 // thickness in radiation lengths at normal incidence
-  double r_in;               // mm
-  double r_out;              // mm
-  Holes holes;               // pitch 0: none
-  std::uint32_t place;       // RNG counter `place`
+  // Of a loss here, the share that the fit takes for another kappa at the origin (`share_loss`): 1 before the
+  // first hit, 0 behind the last. Its inverse scales the cut of the loss.
+  double unseen = 1, per_unseen = 1, log_per_unseen = 0;
+  double x0;            // thickness in radiation lengths at normal incidence
+  double r_in;          // mm
+  double r_out;         // mm
+  Holes holes;          // pitch 0: none
+  std::uint32_t place;  // RNG counter `place`
   std::vector<Component> components;
   std::array<SlabPoint, loss_points> table;
   // Derived, of scatters with a larger transfer, which are drawn one by one:
@@ -203,10 +206,11 @@ struct Surface {
 };
 
 // Cuts of the fit's energy loss (`matter/loss.hpp`). Mean and variance count transfers below these multiples
-// of the track's Landau xi plus a share of p beta.
+// of the Landau xi of the track's unseen matter plus a share of p beta, over the slab's `unseen`.
 struct LossCuts {
   double mean, variance;
-  double share;
+  double share;                                    // of heavy particles
+  double light_measured = 0, light_scattered = 0;  // of electrons: times p over the path, and its root
   double radiation = 1;  // share of the bremsstrahlung that counts: 1, or 0 without it
 };
 

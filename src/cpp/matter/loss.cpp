@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "matter/radiation.hpp"
+#include "motion/helix.hpp"
 
 namespace cgemit {
 
@@ -30,12 +31,13 @@ double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
 
 }  // namespace
 
-void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double momentum_error) {
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, const MomentumError& error) {
   constexpr double everything = 1e30, most_probable = 0.2, half_maximum = 4.018 / 2.3548;
   LossCuts& cuts = detector.loss;
   switch (choice) {
     case CoreLoss::truncated:
-      cuts = {core_cut_xi, core_cut_xi, core_cut_share(momentum_error)};
+      cuts = {core_cut_xi, core_cut_xi, core_cut_share(error.heavy), core_cut_share(error.measured),
+              core_cut_share(error.scattered)};
       break;
     case CoreLoss::mean:
       cuts = {everything, everything, 0};
@@ -45,6 +47,35 @@ void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double mo
       break;
   }
   cuts.radiation = radiation ? 1 : 0;
+}
+
+void set_unseen(Slab& slab, double share) {
+  // The cut of a slab is at most this many times the track's: losses that are unseen to so little count for
+  // nothing. About the last hit and behind, losses are cut as for a state there.
+  constexpr double most_scaled = 10, least = 0.01;
+  slab.unseen = share;
+  slab.per_unseen = share > least ? std::min(1 / share, most_scaled) : 1;
+  slab.log_per_unseen = std::log(slab.per_unseen);
+}
+
+void share_loss(Detector& detector, std::span<const double> variances, const Kinematics& start, double tanl) {
+  const TrackMatter track = [&] {
+    TrackMatter all = total_matter(detector, tanl);
+    set_cut(all, start);
+    return all;
+  }();
+  const double sec = std::sqrt(1 + tanl * tanl), kappa = sec / start.p;
+  const double w = curvature(detector.bz, kappa);
+  Kinematics k = start;
+  for (std::size_t i = 0; i < variances.size(); ++i) {
+    Slab& slab = detector.slabs[i];
+    const double slant = std::min(0.5 * std::abs(w) * slab.radius, 0.99);
+    const LossMoments moments = core_loss(slab, sec / std::sqrt(1 - slant * slant), k, track);
+    if (!(moments.variance > 0) || slab.unseen == 0) continue;
+    const double noise = kappa * std::sqrt(moments.variance) * k.energy * k.per_p * k.per_p;
+    set_unseen(slab, std::min(std::sqrt(variances[i]) / noise, 1.0));
+    k = k.after_loss(moments.loss);
+  }
 }
 
 double light_spectrum_share(const Kinematics& k, double transfer) {
@@ -64,20 +95,24 @@ double light_restricted_loss(const Slab& slab, double path, const Kinematics& k,
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
   const double xi = slab.xi * path * k.charge2_per_beta2, track_xi = track.xi * k.charge2_per_beta2;
-  const double resolved = track.loss.share * k.p / k.per_beta;
-  const double wanted = track.loss.mean * track_xi + resolved,
-               wanted_variance = track.loss.variance * track_xi + resolved;
+  // The measured curvature bends in the transverse plane, scattering grows with the matter.
+  const double measured = track.loss.light_measured * k.p / track.path;
+  const double share = std::hypot(measured, track.loss.light_scattered * std::sqrt(track.path));
+  const double resolved = share * k.p / k.per_beta * slab.per_unseen;
+  const double resolved_growth = share > 0 ? resolved * (1 + measured * measured / (share * share)) : 0;
+  const double wanted = track.loss.mean * track_xi * slab.per_unseen + resolved,
+               wanted_variance = track.loss.variance * track_xi * slab.per_unseen + resolved;
   const double cut = std::min(wanted, k.w_max()), hardest = std::min(wanted_variance, k.w_max());
   const double bracket = std::max(light_bracket(slab, k, cut), 0.0);
   // Photons are cut like collisions, but can take all energy.
   const double x0 = track.loss.radiation * slab.x0 * path;
-  const double share = std::min(wanted / k.energy, 1.0), mean = radiated_mean(share);
+  const double y = std::min(wanted / k.energy, 1.0), mean = radiated_mean(y);
   const double variance = radiated_variance(std::min(wanted_variance / k.energy, 1.0));
   // Per ln(p) the bracket grows by 2, and by the growth of the cut; 1/beta^2 is nearly constant.
-  const double grow = 2 + (wanted < k.w_max() ? resolved / cut : 0);
-  const double growth = wanted < k.energy ? radiated_growth(share) : 0;
+  const double grow = 2 + (wanted < k.w_max() ? resolved_growth / cut : 0);
+  const double growth = wanted < k.energy ? radiated_growth(y) : 0;
   const double slope = xi * (grow + log_term(slab, k.log_bg).slope) / k.p +
-                       x0 * ((mean - share * growth) * k.p / k.energy + growth * resolved / k.p);
+                       x0 * ((mean - y * growth) * k.p / k.energy + growth * resolved_growth / k.p);
   return {xi * bracket + x0 * k.energy * mean, xi * hardest + x0 * k.energy * k.energy * variance, slope};
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cmath>
+#include <span>
 
 #include "matter/draws.hpp"
 #include "matter/track.hpp"
@@ -44,9 +45,11 @@ struct LossMomentsOf {
 using LossMoments = LossMomentsOf<double>;
 
 // Landau's distribution has no variance, and rare collisions dominate its mean. The fit takes mean and
-// variance of all collisions with a transfer below a cut. The cut is the same along the track, so that the
-// moments of slabs add up. Slow particles (cut above w_max) get Bethe's mean and Vavilov's variance. For
-// electrons and positrons, mean and variance of the radiation are added.
+// variance of all collisions with a transfer below a cut. Kappa at the origin changes by the sum of all
+// losses, each with a weight, `Slab::unseen`. A weighted loss is cut at the same value along the whole track,
+// so that the moments of slabs add up, and its spectrum is that of one slab with the weighted sum of xi. Slow
+// particles (cut above w_max) get Bethe's mean and Vavilov's variance. For electrons and positrons, mean and
+// variance of the photons below the cut are added.
 //   truncated      the core of what a momentum measurement sees (docs/methods/matter.md): its cut is 2.3
 //                  times the error of the energy, `momentum_error` of p beta, and 5 xi for Landau's own width
 //   mean           all collisions
@@ -57,26 +60,42 @@ inline constexpr double core_cut_xi = 5, usual_momentum_error = 0.003;
 // Of p beta, for an error of the momentum.
 inline constexpr double core_cut_share(double momentum_error) { return 7 * momentum_error / 3; }
 
+// Relative error of the momentum without straggling. Electrons take that at their own momentum: `measured` by
+// the hits, per GeV/c, and `scattered`, in quadrature.
+struct MomentumError {
+  double heavy, measured, scattered;
+
+  explicit MomentumError(double constant) : heavy(constant), measured(0), scattered(constant) {}
+};
+
 // Sets the loss cuts of a detector. Without `radiation`, electrons and positrons lose energy in collisions
 // only.
-void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double momentum_error);
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, const MomentumError& error);
+
+void set_unseen(Slab& slab, double share);
+
+// Fills in `Slab::unseen`. `variances`: of kappa, by the stragglings of all slabs, of a particle from the
+// origin, with the shares that the detector had.
+void share_loss(Detector& detector, std::span<const double> variances, const Kinematics& start, double tanl);
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 
 // The cut of heavy particles, and the numbers that it is made of, GeV.
 template <class T>
 struct CoreCut {
-  T below, resolved;  // Landau's width and the resolution
-  T wanted, w_max;    // their sum; the largest transfer
+  T below, resolved;  // Landau's width and the resolution, as far as the fit does not see the loss
+  T wanted;           // their sum
+  T own, w_max;       // transfer in the slab that is unseen by so much; the largest transfer
   T share;            // beta^2/w_max
   T per_recoil;       // 1/(1 + 2 gamma m_e/m + (m_e/m)^2)
   T per_wanted;
   T value;
 
-  CoreCut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track)
+  CoreCut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track, double per_unseen)
       : below(track.loss.mean * (track.xi * k.charge2_per_beta2)),
         resolved(track.loss.share * k.p * k.beta2 * k.per_beta),
-        wanted(below + resolved) {
+        wanted(below + resolved),
+        own(wanted * per_unseen) {
     const T ratio = electron_mass * k.per_mass, recoil = 1.0 + 2.0 * k.gamma * ratio + ratio * ratio,
             bg = k.p * k.per_mass;
     const T per_both = 1.0 / (recoil * wanted);
@@ -84,7 +103,7 @@ struct CoreCut {
     per_wanted = recoil * per_both;
     w_max = 2 * electron_mass * bg * bg * per_recoil;
     share = (1.0 - k.beta2) * recoil * (1 / (2 * electron_mass));
-    value = smaller(wanted, w_max);
+    value = smaller(own, w_max);
   }
 };
 
@@ -92,7 +111,7 @@ struct CoreCut {
 template <class T>
 void set_cut(TrackMatterOf<T>& track, const KinematicsOf<T>& start) {
   if (start.is_light()) return;
-  track.cut = CoreCut<T>(start, track).value;
+  track.cut = CoreCut<T>(start, track, 1.0).value;
   track.per_cut = 1.0 / track.cut;
   track.log_cut = log(track.cut);
 }
@@ -100,24 +119,28 @@ void set_cut(TrackMatterOf<T>& track, const KinematicsOf<T>& start) {
 template <class T>
 LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
                                  const TrackMatterOf<T>& track) {
-  const CoreCut<T> cut(k, track);
+  const CoreCut<T> cut(k, track, slab.per_unseen);
   const T xi = slab.xi * path * k.charge2_per_beta2;
   const Read<T> term = read<&SlabPoint::log_term>(slab, k.log_bg);
   static const double log_constant = std::log(2 * electron_mass);
-  const T spin = cut.share * cut.value,
-          log_cut = track.log_cut + log_ratio(cut.value, track.cut, track.per_cut);
+  const mask_of<T> is_cut = cut.own < cut.w_max;
+  const T reference = select(is_cut, cut.wanted, cut.w_max);
+  const T spin = cut.share * cut.value, log_cut = track.log_cut +
+                                                  log_ratio(reference, track.cut, track.per_cut) +
+                                                  select(is_cut, T(slab.log_per_unseen), T(0.0));
   const T bracket = log_constant + log_cut + 2.0 * k.log_bg - k.beta2 - spin + term.value;
   // Derivatives by ln(p), with 1/gamma^2 = 1 - beta^2: 1/beta^2 falls by 2/gamma^2, (beta gamma)^2 grows by
   // 2, beta^2 by 2 beta^2/gamma^2, p beta by 1 + 1/gamma^2; the cut follows 1/beta^2 and p beta, or w_max.
   const T per_gamma2 = 1.0 - k.beta2;
   const T grow_w_max = 2.0 - 2.0 * electron_mass * k.per_mass * k.gamma * k.beta2 * cut.per_recoil;
   const T grow_wanted = ((1.0 + per_gamma2) * cut.resolved - 2.0 * per_gamma2 * cut.below) * cut.per_wanted;
-  const T grow_cut = select(cut.wanted < cut.w_max, grow_wanted, grow_w_max);
+  const T grow_cut = select(is_cut, grow_wanted, grow_w_max);
   const T grow_bracket =
       2.0 + grow_cut - 2.0 * k.beta2 * per_gamma2 - spin * (2.0 * per_gamma2 + grow_cut - grow_w_max);
   const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
   const T amount = select(bracket > 0.0, xi, T(0.0));
-  const T hardest = smaller(track.loss.variance * (track.xi * k.charge2_per_beta2) + cut.resolved, cut.w_max);
+  const T hardest = smaller(
+      (track.loss.variance * (track.xi * k.charge2_per_beta2) + cut.resolved) * slab.per_unseen, cut.w_max);
   return {amount * bracket, amount * hardest * (1.0 - 0.5 * cut.share * hardest),
           amount * per_log_p * k.per_p};
 }
@@ -129,7 +152,8 @@ LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
   LossMomentsOf<T> out;
   for (int i = 0; i < lanes_of<T>; ++i) {
     const Kinematics one(lane(k.p, i), {lane(k.mass, i), 1.0, k.projectile});
-    const TrackMatter matter{lane(track.x0, i), lane(track.xi, i), {}, track.loss};
+    TrackMatter matter{lane(track.x0, i), lane(track.xi, i), {}, track.loss};
+    matter.path = lane(track.path, i);
     const LossMoments moments = light_core_loss(slab, lane(path, i), one, matter);
     set_lane(out.loss, i, moments.loss);
     set_lane(out.variance, i, moments.variance);

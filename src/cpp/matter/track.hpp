@@ -2,8 +2,8 @@
 //
 // Core widths of scattering and straggling are not additive: the sum changes if a slab is cut in two. The
 // core of a slab is therefore that of all matter that acts on the same parameters, so that the result does
-// not depend on how matter is cut. All energy losses act on kappa. `Slab::acting` says which scatters act
-// together.
+// not depend on how matter is cut. `Slab::acting` says which scatters act together. All energy losses act on
+// kappa, each slab's with the weight `Slab::unseen`.
 #pragma once
 
 #include <algorithm>
@@ -24,7 +24,7 @@ inline constexpr double least_kinetic = 0.1 * MeV;
 template <class T>
 struct TrackMatterOf {
   T x0{0.0};      // radiation lengths
-  T xi{0.0};      // GeV, Landau's xi times beta^2
+  T xi{0.0};      // GeV, Landau's xi times beta^2, each slab's times its `unseen`
   T chi_c2{0.0};  // GeV^2, chi_c^2 times (p beta)^2
   LossCuts loss{};
   // A cut of the loss on this track, GeV, its inverse and its logarithm: the logarithms of the cuts elsewhere
@@ -46,7 +46,7 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
       if (!slab.reopens) chamber = met;
     }
     total.x0 += select(met, T(slab.x0), 0.0);
-    total.xi += select(met, T(slab.xi), 0.0);
+    total.xi += select(met, T(slab.xi * slab.unseen), 0.0);
     total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
     inside = inside & (chamber | (abs(tanl) <= slab.steepest_beyond));
   }
