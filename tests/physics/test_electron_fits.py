@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import pytest
 
 import cgemit as cg
 from cores import Core, core_of, mode_of
-from stats import assert_within
+from stats import assert_within, fraction_error
 
 N = 4000
 PULLS = ("dr", "phi0", "kappa", "dz", "tanl")
@@ -81,3 +82,43 @@ def test_most_electrons_are_near_the_truth():
     near = [np.mean(np.abs(fitted("besiii-cgem", "e-", 1.0, loss).ratio - 1) < 0.01) for loss in ("truncated", "mean")]
     assert near[0] > 0.78
     assert near[1] < 0.2
+
+
+SHARES = np.array([0.03, 0.1, 0.5])
+
+
+def losses_are_expected(found: Fitted, probability: np.ndarray) -> None:
+    """Fractions of momenta that are too small by more than some shares are the expected ones, to 6 %."""
+    fraction = np.mean(found.ratio[:, None] < 1 - SHARES, axis=0)
+    error = [fraction_error(one, len(found.ratio)) for one in fraction]
+    assert_within(fraction, probability, np.hypot(error, 0.02 * probability), 3.0, "loss probability")
+
+
+def shares_are_expected(found: Fitted, within: np.ndarray) -> None:
+    """Fractions of momenta within 1, 2 and 5 % of the truth are the expected ones, to 1 %."""
+    fraction = np.mean(np.abs(found.ratio[:, None] - 1) < NEAR, axis=0)
+    error = [fraction_error(one, len(found.ratio)) for one in fraction]
+    assert_within(fraction, within, np.hypot(error, 0.003), 3.0, "share near the truth")
+
+
+NEAR = np.array([0.01, 0.02, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("detector", "particle", "p"),
+    [("besiii-cgem", "e-", 0.3), ("besiii-cgem", "e+", 1.0), ("besiii-idc", "e-", 1.0), ("idea-like", "e-", 1.0)],
+)
+def test_tails_are_expected(detector, particle, p):
+    """Tails and shares near the truth are those of `Covariance.losses`; with a third more matter both fail."""
+    found, losses = fitted(detector, particle, p), cg.analytic(detector, particle, p=p, cos_theta=0.0).losses()
+    losses_are_expected(found, losses.loss_probability(SHARES)[0])
+    shares_are_expected(found, losses.share_within(NEAR)[0])
+    wrong = dataclasses.replace(losses, thickness=1.33 * losses.thickness)
+    with pytest.raises(AssertionError, match="standard errors"):
+        losses_are_expected(found, wrong.loss_probability(SHARES)[0])
+    with pytest.raises(AssertionError, match="standard errors"):
+        shares_are_expected(found, wrong.share_within(NEAR)[0])
+    everything = dataclasses.replace(losses, unseen=np.ones_like(losses.unseen))
+    if detector == "idea-like":  # where half of the matter is seen, or behind all wires
+        with pytest.raises(AssertionError, match="standard errors"):
+            losses_are_expected(found, everything.loss_probability(SHARES)[0])

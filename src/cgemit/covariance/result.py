@@ -13,12 +13,16 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, UPPER, quantity_of
+from cgemit.base.errors import Problems
+from cgemit.covariance.losses import Losses
 from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
-from cgemit.detector import Detector
+from cgemit.detector import SCREENINGS, Detector
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import Layer
-from cgemit.reconstruction.fit import FitStatus
+from cgemit.fit_matter import unseen_cut
+from cgemit.reconstruction.fit import FitStatus, compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
+from cgemit.units import GEV_PER_T_MM
 
 Floats = npt.NDArray[np.float64]
 
@@ -120,6 +124,8 @@ def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) 
     with np.errstate(invalid="ignore"):
         return np.asarray(mean(variance, ~np.isnan(variance)) > _core.MOST_ERROR**2)
 
+
+_LIGHT = 1e-3  # GeV/c2, above the mass of electrons
 
 By = Literal["source", "part", "material", "cause"]
 #: Causes of uncertainty.
@@ -343,6 +349,60 @@ def budget_of(
     return Budget(known.name, known.unit, names, p, cos_theta, variance, *about)
 
 
+def losses_of(tracks: Tracks, found: Covariance) -> Losses:
+    """Return the losses of electrons that the fit does not see.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    found : Covariance
+        Of these tracks.
+
+    Raises
+    ------
+    ValueError
+        As `Covariance.losses`.
+    """
+    problems, fit, points = Problems(), tracks.fit, found.points
+    if np.any(points.mass > _LIGHT):
+        problems.note("particle", found.particle, "e- or e+")
+    if any(np.any(low != high) for low, high in (points.p, points.cos_theta)):
+        problems.note("p, cos_theta", "a range", "fixed values")
+    wanted = {"loss": "truncated", "radiation": True, "matter": True, "start_radius": 0.0}
+    for name, value in wanted.items():
+        if getattr(fit, name) != value:
+            problems.note(f"fit.{name}", repr(getattr(fit, name)), repr(value))
+    problems.report("losses")
+    p, cosine = found.p.ravel(), found.cos_theta.ravel()
+    kappa, momentum = found.budget("kappa"), found.budget("p")
+    straggles = [number for number, one in enumerate(kappa.sources) if one.cause == STRAGGLING]
+    rest = [number for number, one in enumerate(kappa.sources) if one.cause != STRAGGLING]
+    by_slab = kappa.variances.reshape(len(p), -1)[:, straggles]
+    error = np.sqrt(momentum.variances.reshape(len(p), -1)[:, rest].sum(axis=1)) * 1e-3 / p
+    core, inner = compiled_for_fit(found.detector, fit), slabs(found.detector)
+    slope = cosine / np.sqrt(1 - cosine**2)
+    slant = np.hypot(1.0, slope)
+    # Of a helix from the origin in the field there; matter that it does not reach is not in the budget.
+    bend = 0.5 * GEV_PER_T_MM * abs(found.detector.field.bz) * slant / p
+    across = np.minimum(bend[:, None] * np.array([one.radius for one in inner]), 0.99)
+    path = slant[:, None] / np.sqrt(1 - across**2)
+    mass = np.broadcast_to(points.mass, found.p.shape).ravel()
+    charge = np.broadcast_to(points.charge, found.p.shape).ravel()
+    unseen = [
+        core.with_shared_loss(row, p=float(p[i]), mass=float(mass[i]), tanl=float(slope[i])).unseen
+        for i, row in enumerate(by_slab)
+    ]
+    assumed = (found.detector, fit.screening or SCREENINGS[0], True, fit.momentum_error)
+    cut = [unseen_cut(*assumed, float(one), float(tanl)) for one, tanl in zip(p, slope, strict=True)]
+    about = [kappa.sources[number] for number in straggles]
+    return Losses(
+        found.detector.name, found.particle, float(charge[0]),
+        tuple(one.name.removesuffix(f" {STRAGGLING}") for one in about), tuple(one.part for one in about),
+        p, cosine, path * np.array([one.x0 for one in inner]), path * np.array([one.xi for one in inner]),
+        np.array(unseen), error, np.array(cut),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Covariance:
     """Covariances of (dr, phi0, kappa, dz, tanl) at the origin, or where tracks leave a cylinder, for a grid of tracks.
@@ -494,6 +554,52 @@ class Covariance:
         """
         self.only_at_origin("budget")
         return budget_of(self._tracks, quantity, self.detector, self.points, self.p, self.cos_theta, self.reached)
+
+    def losses(self) -> Losses:
+        """Return what the fit of electrons does not see of their losses: tails of the momentum, and their causes.
+
+        Returns
+        -------
+        Losses
+            Of the points in order.
+
+        Raises
+        ------
+        ValueError
+            Listing everything that is not for electrons and positrons of fixed momentum and angle at the origin, and
+            the default loss of the fit.
+
+        Examples
+        --------
+        >>> electrons = cg.analytic("besiii-cgem", "e-", p=[0.3, 1.0])
+        >>> electrons.losses().loss_probability([0.01, 0.1]).round(2)
+        array([[0.15, 0.07],
+               [0.15, 0.07]])
+        >>> electrons.losses().share_within(0.01).round(2)
+        array([0.83, 0.81])
+        """
+        self.only_at_origin("losses")
+        return losses_of(self._tracks, self)
+
+    def loss_probability(self, x: npt.ArrayLike) -> Floats:
+        """Return the probability that losses make the fitted momentum of electrons smaller by more than a share of it.
+
+        Parameters
+        ----------
+        x : array_like
+            See `Losses.loss_probability`.
+
+        Returns
+        -------
+        ndarray, shape of the points + shape of x, float64
+
+        Raises
+        ------
+        ValueError
+            As `losses`, and for shares that are not between 0 and 1.
+        """
+        found = self.losses().loss_probability(x)
+        return found.reshape(*self.p.shape, *found.shape[1:])
 
     def only_at_origin(self, what: str) -> None:
         """Raise ValueError unless these are covariances at the origin; `what` is what is wanted."""
