@@ -183,8 +183,8 @@ def analytic(
     >>> muons = cg.analytic("besiii-cgem-design", "mu-", p=[0.3, 1.0])
     >>> muons
     <besiii-cgem-design, mu-, readout binary
-      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 306.4 um, sigma(d_z) 0.4306 mm, sigma(p) 0.8432 MeV/c
-      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.2 um, sigma(d_z) 0.2831 mm, sigma(p) 4.671 MeV/c>
+      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 306.4 um, sigma(d_z) 0.4306 mm, sigma(p) 0.8436 MeV/c
+      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.2 um, sigma(d_z) 0.2831 mm, sigma(p) 4.672 MeV/c>
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
     [306. 167.] [0.84 4.67]
     """

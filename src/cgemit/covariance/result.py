@@ -573,10 +573,10 @@ class Covariance:
         --------
         >>> electrons = cg.analytic("besiii-cgem", "e-", p=[0.3, 1.0])
         >>> electrons.losses().loss_probability([0.01, 0.1]).round(2)
-        array([[0.15, 0.07],
+        array([[0.17, 0.07],
                [0.15, 0.07]])
         >>> electrons.losses().share_within(0.01).round(2)
-        array([0.83, 0.81])
+        array([0.83, 0.82])
         """
         self.only_at_origin("losses")
         return losses_of(self._tracks, self)
