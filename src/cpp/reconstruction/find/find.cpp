@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/angles.hpp"
 #include "reconstruction/find/anneal.hpp"
 #include "reconstruction/find/axial.hpp"
 #include "reconstruction/find/compete.hpp"
@@ -171,30 +172,40 @@ class EventFinder {
     for (int least = 0; axial_hits_.least(0) != least; axial_hits_.load(hits_)) {
       least = axial_hits_.least(0);
       axial_.start();
-      follow_circles(axial_);
+      follow_circles(axial_, true);
       reach(limit_boxes, axial_.is_cut());
     }
     displaced_.start(hits_);
     reach(limit_local, displaced_.is_cut());
-    follow_circles(displaced_);
+    follow_circles(displaced_, false);
     reach(limit_heights, stereo_.is_cut());
   }
 
   template <class Search>
-  void follow_circles(Search& search) {
+  void follow_circles(Search& search, bool bend) {
     int failures = 0;
     for (int n = 0; n < settings_.max_seeds && failures < most_failures; ++n) {
       const auto circle = search.next();
       if (!circle) return;
       ++failures;
-      for (const FoundLine& line : stereo_.find(*circle, hits_, 2)) {
-        if (!try_seed(seed_of(*circle, line))) continue;
+      for (const FoundLine& line : stereo_.find(*circle, hits_, 2, bend)) {
+        if (!try_seed(seed_of(bent(*circle, line), line))) continue;
         failures = 0;
         break;
       }
       reach(limit_circles, n + 1 == settings_.max_seeds);
       reach(limit_failures, failures == most_failures);
     }
+  }
+
+  // The circle with the curvature of a line.
+  static FoundCircle bent(FoundCircle circle, const FoundLine& line) {
+    if (line.dw == 0) return circle;
+    const CircleSlope slope(circle);
+    circle.d += slope.d * line.dw;
+    circle.psi = wrap_angle(circle.psi + slope.psi * line.dw);
+    circle.w += line.dw;
+    return circle;
   }
 
   // The search has seen the hits already, and neglects scattering and loss.
