@@ -23,6 +23,7 @@ import cgemit as cg
 from cgemit import _core
 from cgemit.analysis.quantities import QUANTITIES as SYMBOLS
 from cgemit.analysis.widths import measure
+from cgemit.base.arrays import Floats
 from cgemit.chain.result import Result
 from cgemit.draw.style import COLORS, Picture, legend_entries, mathematical, new_picture, style
 from cgemit.draw.style import grid as draw_grid
@@ -30,7 +31,7 @@ from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import LOSSES, PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
-from pages.optimal import QUANTITIES, Floats, Hit, Optimum, TurnsBackError, errors, optimum
+from pages.optimal import QUANTITIES, Hit, Optimum, TurnsBackError, errors, optimum
 from pages.page import Found, Numbers, Page, say, share_of, span, table
 
 #: Momenta (GeV/c) of each particle, and cos(theta) of the grid. Slower kaons and protons stop on the way.

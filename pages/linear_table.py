@@ -14,13 +14,14 @@ import numpy as np
 
 import cgemit as cg
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector import Slab
 from cgemit.detector.readouts import GaussianReadout
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import resolution
-from pages.optimal import WIRE, Floats, Hit, Stack, TracedSlab, V, X, errors, optimum, stack_of
+from pages.optimal import WIRE, Hit, Stack, TracedSlab, V, X, errors, optimum, stack_of
 from pages.page import Found, Numbers, Page, share_of, table
 
 DESIGN, AS_BUILT, IDC = "besiii-cgem-design", "besiii-cgem", "besiii-idc"

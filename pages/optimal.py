@@ -16,12 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 import cgemit as cg
+from cgemit.base.arrays import Floats
 from cgemit.detector import Slab, slabs
 from cgemit.detector.parts import CgemLayer, WireLayer
 from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import PARAMETERS
-
-Floats = npt.NDArray[np.float64]
 
 LIGHT = 0.299792458e-3  # GeV/c per (T mm)
 ELECTRON = 0.51099895e-3  # GeV

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import cgemit as cg
 from cgemit.analysis.resolutions import pulls as track_pulls
 from cgemit.analysis.widths import measure
+from cgemit.base.arrays import Floats
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.induction import cloud_widths
 from cgemit.detector.parts import Readout
@@ -194,9 +195,6 @@ def measure_pulls(share: float) -> Numbers:
             for one in errors.pulls(readout, designs=DESIGNS, n=n)
         ]
     return Numbers(rows, {"events": f"{n} muons in each of {DESIGNS} designs"})
-
-
-Floats = npt.NDArray[np.float64]
 
 
 class Shares(NamedTuple):

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Floats
 from cgemit.base.isa import available
 from cgemit.chain.executor import PARTICLES
 from cgemit.chain.run import Job, run, run_chunk
@@ -33,8 +33,6 @@ from cgemit.simulation.transport import core_arguments as simulate_arguments
 from cgemit.tables import Table
 from pages.page import ROOT, Numbers
 from pages.performance.timing import DETECTOR, GUN, SEED, fastest, instruction_set, machine, product_us
-
-Floats = npt.NDArray[np.float64]
 
 #: The timed stages in the order of the chain; `_kernel`: the compiled core alone, on prepared arrays.
 STAGES = (

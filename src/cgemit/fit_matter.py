@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector.core import compiled
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.parts import CgemLayer, Layer, pitches
 from cgemit.particles.species import species
-
-Floats = npt.NDArray[np.float64]
 
 MOST_MOMENTUM_ERROR = _core.USUAL_MOMENTUM_ERROR  #: Largest relative error of momenta that straggling is counted for.
 _MUON = species("mu-").mass

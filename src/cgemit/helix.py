@@ -6,11 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
 from cgemit.units import GEV_PER_T_MM
-
-Floats = npt.NDArray[np.float64]
 
 #: Names of the parameters in the order of arrays.
 PARAMETERS = ("dr", "phi0", "kappa", "dz", "tanl")

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
+from cgemit.base.arrays import Floats
 from cgemit.base.files import check_regular, package
 from cgemit.detector import Detector, load
 from cgemit.helix import wrap_angle
@@ -21,8 +22,6 @@ from cgemit.reconstruction.candidates import HIT_WIRE, HIT_X, XV_CLUSTER, label_
 from cgemit.reconstruction.fit import FitStatus, displaced
 from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.tables import SCHEMAS, Table
-
-Floats = npt.NDArray[np.float64]
 
 _FLAGS, _STRIPS = 2, 4  # numbers in m_clusterflag and m_stripid
 

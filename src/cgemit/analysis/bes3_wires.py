@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.bes3 import Bes3Events
+from cgemit.base.arrays import Floats
 from cgemit.chain.match import match
 from cgemit.detector import Detector
 from cgemit.detector.drift import BESIII, propagation_time
@@ -22,7 +23,6 @@ from cgemit.reconstruction.refine import DriftTimes
 from cgemit.tables import SCHEMAS, Table
 from cgemit.units import LIGHT
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 #: TDC time minus start time of a signal without flight, drift and propagation, ns: the median of the public events.

@@ -22,13 +22,13 @@ from cgemit import helix
 from cgemit.analysis.curves import Spectrum, histograms
 from cgemit.analysis.quantities import V, X
 from cgemit.analysis.widths import GaussianFit, Resolution, gaussian_fit, measure, share_error
+from cgemit.base.arrays import Floats
 from cgemit.chain.result import Result
 from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
 from cgemit.tables.show import Comparable, Shown, Tabular, with_error
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 #: Half-widths of the windows by what result ids call them, mm.

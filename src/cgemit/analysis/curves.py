@@ -12,10 +12,10 @@ import numpy.typing as npt
 from cgemit.analysis.quantities import quantity_of
 from cgemit.analysis.resolutions import resolution
 from cgemit.analysis.widths import FEWEST, GaussianFit, Resolution
+from cgemit.base.arrays import Floats
 from cgemit.tables import Table
 from cgemit.tables.show import shown, with_error
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 #: Core widths to each side within which figures and reports take the RMS; values outside are counted.

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import Fraction
+from cgemit.base.arrays import Flags, Floats
 from cgemit.chain.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
 from cgemit.chain.result import Result
 from cgemit.chain.settings import finder_of, mass_by
@@ -23,7 +24,6 @@ from cgemit.tables import Table
 from cgemit.tables.show import Shown
 
 Rows = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 Column = npt.NDArray[Any]
 
 
@@ -156,7 +156,6 @@ def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, in
     return findable, removed
 
 
-Floats = npt.NDArray[np.float64]
 Definition = Literal["belle2", "acts"]
 Quantity = Literal["pt", "cos_theta", "phi", "distance", "tracks", "occupancy"]
 

@@ -15,11 +15,10 @@ import numpy.typing as npt
 
 from cgemit import _core, helix, tables
 from cgemit.analysis.widths import FEWEST
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import did_you_mean
 from cgemit.chain.match import is_matched
 from cgemit.reconstruction.fit import FitSettings, FitStatus
-
-Floats = npt.NDArray[np.float64]
 
 #: Places of the 15 entries of the upper triangle in a covariance.
 UPPER = np.triu_indices(len(helix.PARAMETERS))

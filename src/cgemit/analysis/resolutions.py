@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, Quantity, quantity_of, true_charge
-from cgemit.analysis.widths import HEAD, Floats, Resolution, measure, stacked
+from cgemit.analysis.widths import HEAD, Resolution, measure, stacked
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import InTurn
 from cgemit.chain.match import counts_left_out, is_fitted

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.base.validate import number
 from cgemit.tables.show import Comparable, Tabular, html_table, with_error
-
-Floats = npt.NDArray[np.float64]
 
 FEWEST = 10  # a width of fewer rows is not quoted
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Flags, Floats
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.detector.parts import pitches
@@ -19,9 +20,7 @@ from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
 from cgemit.tables.table import kind_problems
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 Statuses = npt.NDArray[np.int8]
 
 

@@ -16,9 +16,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.tables.show import Shown, data_frame
-
-Floats = npt.NDArray[np.float64]
 
 _LEAST_UNSEEN = 1e-3  # losses in slabs that are seen better change no momentum
 _PER_SIGMA = 16  # steps of the grid of momenta per error

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, UPPER, quantity_of
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.covariance.losses import Losses
 from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
@@ -23,8 +24,6 @@ from cgemit.fit_matter import unseen_cut
 from cgemit.reconstruction.fit import FitStatus, compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
 from cgemit.units import GEV_PER_T_MM
-
-Floats = npt.NDArray[np.float64]
 
 #: Tracks whose covariances are in memory at once, more than the points of a detector have.
 _MOST_TRACKS = 100_000

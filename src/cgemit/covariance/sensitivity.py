@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.quantities import quantity_of
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problems
 from cgemit.base.validate import NO, reader
 from cgemit.covariance.analytic import analytic, with_errors_of
@@ -25,8 +26,6 @@ from cgemit.detector.variants import values_at
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
 from cgemit.units import NATIVE
-
-Floats = npt.NDArray[np.float64]
 
 OTHER_ORDER = "got slabs and wires in another order than in the detector whose hits are kept, expected the same"
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.widths import SECOND_INSIDE
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.validate import check_whole
 from cgemit.chain.executor import Workers, pool_of
@@ -29,7 +30,6 @@ from cgemit.units import QuantityError, parse_quantity
 #: Fields of the core's model of the expected hits.
 HitModel = dict[str, Any]
 
-Floats = npt.NDArray[np.float64]
 
 _CHUNK = 4096  # tracks of one task
 

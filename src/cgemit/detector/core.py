@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgemit import _core
 from cgemit.base import isa
+from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector, preset
 from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, SolenoidField
 from cgemit.detector.gas import gap_columns, gap_table
@@ -31,7 +32,6 @@ from cgemit.detector.parts import (
 )
 
 Ints = npt.NDArray[np.int32]
-Floats = npt.NDArray[np.float64]
 
 
 class StripLists(NamedTuple):

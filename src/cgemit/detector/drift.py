@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.parts import Contents, DriftChamber
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

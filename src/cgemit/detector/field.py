@@ -10,12 +10,10 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem
 from cgemit.detector.keys import Key, Part, key
-
-Floats = NDArray[np.float64]
 
 #: Columns of a map: axes, components.
 CYLINDER = (("r", "z"), ("br", "bz"))

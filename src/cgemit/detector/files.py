@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problem, did_you_mean
 from cgemit.base.files import is_number, new_file, parse_toml, read_npz, read_text
 from cgemit.detector.field import Column, Columns, FieldGrid, checked_grid, names_in
@@ -263,8 +263,6 @@ def _field_of(name: str, tables: dict[str, Any], folder: Path | None) -> dict[st
         raise DetectorError(name, [Problem("field", "nothing", "a table [field]")])
     return dict(found)
 
-
-Floats = NDArray[np.float64]
 
 _HEADER = re.compile(r"\s*(\w+)\s*\[(.*)\]\s*")
 _LARGEST_CSV = 500_000_000  # bytes

@@ -21,14 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, refuse
 from cgemit.base.files import read_text
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.material import Material
 from cgemit.detector.parts import CgemLayer, Contents, Shell, cgem_layers
-
-Floats = NDArray[np.float64]
 
 REST_ENERGY = 510.99895  # keV, of the electron (PDG 2024)
 AVOGADRO = 6.02214076e23  # 1/mol

@@ -11,13 +11,11 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.parts import CgemLayer, cgem_layers
-
-Floats = NDArray[np.float64]
 
 #: Shares of the way through the induction gap between which the current of a strip counts as constant. Amplitudes
 #: behind the shapers of `tiger` and `apv25` are then within 1 % of the charge of those of the exact current.

@@ -14,16 +14,14 @@ from itertools import accumulate, chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, SupportsIndex, TypeVar, overload
 
 import numpy as np
-import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import did_you_mean
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import default_of
 from cgemit.detector.field import Field
 from cgemit.detector.keys import Part, key, once
 from cgemit.detector.material import Material
-
-Floats = npt.NDArray[np.float64]
 
 _FAR, _TILT, _ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sought at other wires and strips
 

@@ -14,13 +14,11 @@ from types import UnionType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.base.validate import Check, Quantity
 from cgemit.detector.parts import CgemLayer, Layer, MeasurementLayer, Readout
 from cgemit.units import parse_quantity
-
-Floats = npt.NDArray[np.float64]
 
 Share = Annotated[float, Quantity("dimensionless", 0.0, 0.99)]
 # An avalanche of 1e8 electrons is a discharge (Raether's limit).

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.patches import Rectangle
 
+from cgemit.base.arrays import Floats
 from cgemit.detector.parts import CgemLayer, crossing_z, local_v, strips_of_v, v_of_strips
 from cgemit.draw.event import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, statistics_box, style
@@ -282,8 +282,6 @@ def _draw_stack(axes: Axes, layer: CgemLayer, half: float) -> None:
     axes.text(-0.97 * half, layer.r_gap_in + 0.4, f"drift gap {layer.drift_gap:g} mm", **text)
     axes.text(-0.97 * half, layer.anode_radius + 1.0, "anode", **text)
 
-
-Floats = npt.NDArray[np.float64]
 
 _DEPTH = 3.0  # mm of the picture for the largest charge
 _MARGIN = 2.0  # mm on either side

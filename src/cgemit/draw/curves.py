@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import QUANTITIES, REPORTED
 from cgemit.analysis.refit import FITS, Refit
+from cgemit.base.arrays import Floats
 from cgemit.chain.result import Result, tracks_of
 from cgemit.draw.style import (
     COLORS,
@@ -389,8 +390,6 @@ def draw_finding(curves: Mapping[str, Mapping[str, Any]], title: str, lines: Seq
         )
     return picture
 
-
-Floats = npt.NDArray[np.float64]
 
 _LOOKS = {
     "centroid": ("charge centroid", COLORS["cgem"], "o"),

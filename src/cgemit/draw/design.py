@@ -8,11 +8,11 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 
 from cgemit.analysis.quantities import QUANTITIES
+from cgemit.base.arrays import Floats
 from cgemit.covariance.result import Budget, By
 from cgemit.covariance.sensitivity import Sensitivity
 from cgemit.draw.style import (
@@ -29,8 +29,6 @@ from cgemit.draw.style import (
     style,
 )
 from cgemit.tables.show import shown
-
-Floats = npt.NDArray[np.float64]
 
 _OTHER = "other"
 

@@ -6,16 +6,13 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from cgemit.base.arrays import Floats
 from cgemit.draw.style import COLORS, Picture, grid, new_picture, plain, statistics_box, style
 
 if TYPE_CHECKING:
     from cgemit.simulation.slab import SlabResult
-
-
-Floats = npt.NDArray[np.float64]
 
 
 def draw_slab(result: SlabResult) -> Picture:

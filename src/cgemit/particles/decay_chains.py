@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.particles.species import species
 from cgemit.units import LIGHT
 
@@ -154,9 +155,6 @@ DEFINITIONS: Mapping[str, Definition] = MappingProxyType(
 
 #: Names of the samples.
 NAMES = tuple(DEFINITIONS)
-
-
-Floats = npt.NDArray[np.float64]
 
 
 def breakup_momentum(mass: npt.ArrayLike, first: npt.ArrayLike, second: npt.ArrayLike) -> Floats:

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem, Problems, did_you_mean
 from cgemit.base.validate import Axes, InTurn, Quantity, Spread, Value, ValueLike, check_numbers, entries
 from cgemit.detector import Detector
@@ -19,8 +20,6 @@ from cgemit.particles.records import ParticleError
 from cgemit.particles.species import species
 from cgemit.particles.table import FARTHEST, FASTEST
 from cgemit.tables.schema import Array
-
-Floats = npt.NDArray[np.float64]
 
 #: Of the flux of background with the radius, as that of clusters in the levels of the presets.
 POWER = -2.2

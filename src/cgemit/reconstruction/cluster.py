@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
+from cgemit.base.arrays import Floats
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.channels import checked
 from cgemit.detector.gas import most_lost
@@ -21,7 +22,7 @@ from cgemit.detector.readouts import (
 )
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
-from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
+from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.reconstruction.clusterers.gaussian import PositionClusterer
 from cgemit.tables import Table
 from cgemit.tables.table import made_by, merged

@@ -17,13 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector import Detector
 from cgemit.detector.gas import cluster_shares, cluster_sizes, clusters_per_mm, drift_columns, ionization
 from cgemit.detector.induction import WAY, charges_of_plane, cloud_widths
 from cgemit.detector.parts import CgemLayer, cgem_layers
 from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, ChipErrors, chip_arguments
-
-Floats = npt.NDArray[np.float64]
 
 #: cos(theta) of tracks for which errors are expected, where these depend on it; linear between, constant beyond.
 COS_THETA = np.array([-0.9, -0.85, -0.78, -0.69, -0.58, -0.45, -0.3, -0.15, 0.0,

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
@@ -146,7 +147,6 @@ class FitSettings(SettingsData):
         return tuple(HYPOTHESES) if names == ("all",) else names
 
 
-Floats = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 
 #: Fields that the core's settings have, too.

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
@@ -31,7 +32,6 @@ from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
 from cgemit.units import LIGHT
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.signedinteger[Any]]
 TimeError = Annotated[float, Check(lambda value: 1e-3 <= value <= 1e3, "a time in ns from 0.001 to 1000")]
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Floats
 from cgemit.base.validate import number
 from cgemit.detector import SCREENINGS, Detector, load, slabs
 from cgemit.fit_matter import tuned
@@ -21,7 +22,6 @@ from cgemit.tables.table import what
 
 Surface = _core.Surface
 StateStatus = _core.StateStatus
-Floats = npt.NDArray[np.float64]
 Columns = dict[str, npt.ArrayLike]
 
 #: Surfaces of states by name; a number is the radius of a cylinder in mm.

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Floats
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector, compiled, load
@@ -199,9 +200,6 @@ def _several(tracks: Table) -> bool:
 def _of(tracks: Table, name: str) -> npt.NDArray[np.bool_]:
     """Mark the tracks of a hypothesis."""
     return np.asarray(tracks["hypothesis"] == abs(HYPOTHESES[name].pdg))
-
-
-Floats = npt.NDArray[np.float64]
 
 
 def starting_points(parameters: Floats, bz: float) -> Floats:

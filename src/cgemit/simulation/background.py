@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, check_numbers, check_seed
@@ -117,7 +118,6 @@ def level_of(detector: Detector, settings: BackgroundSettings) -> BackgroundLeve
     raise ValueError(f"background.level: got {settings.level!r}, expected one of {known}{missing}{hint}")
 
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 Channels = npt.NDArray[np.integer[Any]]
 

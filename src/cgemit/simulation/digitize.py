@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, ReadoutGroup, compiled, load
@@ -34,8 +35,6 @@ from cgemit.simulation.digitizers import (
 )
 from cgemit.tables import Table
 from cgemit.tables.table import made_by, merged
-
-Floats = npt.NDArray[np.float64]
 
 
 def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Table, Table]:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, ProblemsError, WrongValueError, did_you_mean
 from cgemit.base.validate import check_seed, check_whole
 from cgemit.detector.build import MaterialNameError, material_named
@@ -106,9 +107,6 @@ def _numbers(text: str, place: str, problems: Problems) -> tuple[float | None, f
             expected = f"a {dimension} from {least:g} to {most:g} {NATIVE[dimension]}"
             problems.note(place, f'"{quantity.strip()}"', expected)
     return (values[0] if len(values) == 2 else None), values[-1]
-
-
-Floats = npt.NDArray[np.float64]
 
 
 class Width(NamedTuple):

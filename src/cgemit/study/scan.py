@@ -20,6 +20,7 @@ from cgemit.analysis.curves import Line
 from cgemit.analysis.quantities import MAIN, QUANTITIES, REPORTED, median, median_error
 from cgemit.analysis.resolutions import FORMS, FormFit, fit_form, resolution
 from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_groups
+from cgemit.base.arrays import Floats
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import InTurn, check_numbers
 from cgemit.base.version import __version__
@@ -633,8 +634,6 @@ def scan_detectors(
         for number, (particle, detector) in enumerate(pairs)
     ]
 
-
-Floats = npt.NDArray[np.float64]
 
 #: Momenta of a line, at least; those asked for are added.
 LINE_POINTS = 60

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Flags
 from cgemit.tables.schema import FITTED, NEEDED_LINKS, SCHEMAS, Array, Column, range_of
 from cgemit.tables.table import Table, kind_problems, targets
 
-Flags = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 
 WIRE, XV = 2, 2  # views of residuals and states, and of clusters

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector import Detector, ReadoutGroup, compiled
 from cgemit.detector.core import layer_table, strip_lists
 from cgemit.detector.parts import cgem_layers
 from cgemit.detector.readouts import BinaryReadout
 from cgemit.helix import path_to
-from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
+from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.tables import Table
 
 MAX_SIZE = 64

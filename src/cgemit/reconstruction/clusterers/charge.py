@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector import ReadoutGroup, compiled
 from cgemit.detector.core import strip_gains, strip_lists
 from cgemit.detector.gas import drift_columns
@@ -21,7 +22,7 @@ from cgemit.reconstruction.cluster_errors import (
     error_inputs,
     expected_errors,
 )
-from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
+from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.tables import Table
 from cgemit.units import LIGHT
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import ReadoutGroup
 from cgemit.detector.parts import Readout
 from cgemit.tables import Table
-
-Floats = npt.NDArray[np.float64]
 
 Position = Literal["centre", "charge"]
 Fraction = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector import ReadoutGroup, compiled
 from cgemit.detector.readouts import PositionReadout
-from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings, Floats
+from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.tables import Table
 
 

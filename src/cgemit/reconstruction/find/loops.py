@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 #: Relative change of the momentum from one half turn to another by energy loss, as a standard deviation.

@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.detector import Detector, load
 from cgemit.detector.channels import checked
 from cgemit.detector.parts import local_v, pitches
 from cgemit.reconstruction.candidates import HIT_V, HIT_X
 from cgemit.tables import Table
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 
 _OF_STRIPS = 0  # `method` of clusters whose position is that of their strips

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from cgemit.analysis.quantities import NAMES, QUANTITIES
-from cgemit.analysis.widths import GROUPS, Floats, jackknife
+from cgemit.analysis.widths import GROUPS, jackknife
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean
 from cgemit.base.validate import is_whole
 from cgemit.detector import Detector

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.widths import Floats, jackknife
+from cgemit.analysis.widths import jackknife
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem, ProblemsError
 from cgemit.base.files import check_regular, package
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Variable, changes_of

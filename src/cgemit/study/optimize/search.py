@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from cgemit.analysis.widths import Floats
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problem, ProblemsError
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import measure
+from cgemit.base.arrays import Floats
 from cgemit.base.validate import check_numbers
 from cgemit.chain.run import run
 from cgemit.detector import Detector, ReadoutGroup, load
@@ -24,7 +25,6 @@ from cgemit.reconstruction.clusterers.charge import ChargeClusterer
 from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Some = TypeVar("Some", bound=ChargeReadout)
 

@@ -12,10 +12,10 @@ from operator import add
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit.analysis.quantities import X
 from cgemit.analysis.widths import Resolution, measure
+from cgemit.base.arrays import Floats
 from cgemit.base.validate import check_numbers
 from cgemit.chain.result import Result
 from cgemit.chain.run import run
@@ -227,8 +227,6 @@ def _view_point(samples: dict[str, Measurements], view: int, angle: float, cross
         angle, charge, float(np.mean(sample.size[across])), int(np.count_nonzero(across)) / crossings, widths
     )
 
-
-Floats = npt.NDArray[np.float64]
 
 #: What can be scanned, with the unit of its values.
 QUANTITIES = {"angle": "deg", "bz": "T", "drift_field": "kV/cm", "gain": "", "threshold": "fC"}
