@@ -747,18 +747,20 @@ def inner_axial_chamber():
     return cg.load({"name": "far", "field": {"bz": "-1 T"}, "drift_chamber": chamber, "materials": {"Light": gas}})
 
 
-@pytest.mark.parametrize(("pt", "tracks", "n", "seed"), [(0.75, 1, 400, 2), ((0.4, 1.5), 4, 50, 1)])
-def test_lines_in_z_correct_the_circle_of_inner_layers(pt, tracks, n, seed):
+@pytest.mark.parametrize(("pt", "tracks", "n"), [(0.75, 1, 400), ((0.4, 1.5), 4, 50)])
+def test_lines_in_z_correct_the_circle_of_inner_layers(pt, tracks, n):
     """Its curvature moves z of outer stereo layers by 100 mm, up in one and down in the other: a mirror image fits.
 
-    The perfect finder, too, has one track in each sample that is more than 8 errors off in z.
+    The perfect finder, too, has tracks that are more than 8 errors off in z; half a percent more is allowed.
     """
-    gun = cg.Gun("pi-", pt=pt, cos_theta=(-0.3, 0.3))
-    result = cg.run(inner_axial_chamber(), Guns((gun,) * tracks), n, seed, settings=QUIET, finder="ckf")
-    rates = cg.study.finding(result).rates()
-    assert rates.efficiency.count >= 0.985 * tracks * n
-    assert rates.wrong_z.n >= 0.985 * tracks * n
-    assert rates.wrong_z.count <= 1
+    guns = Guns((cg.Gun("pi-", pt=pt, cos_theta=(-0.3, 0.3)),) * tracks)
+    found, perfect = (
+        cg.study.finding(cg.run(inner_axial_chamber(), guns, n, 1, settings=QUIET, finder=finder)).rates()
+        for finder in ("ckf", "truth")
+    )
+    assert found.efficiency.count >= 0.985 * tracks * n
+    assert found.wrong_z.n >= 0.985 * tracks * n
+    assert found.wrong_z.count <= perfect.wrong_z.count + 0.005 * tracks * n
 
 
 def views_in(run, layer):
