@@ -207,9 +207,10 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.keep is None:
             result.save(folder, command=arguments.line, format=arguments.format)
         summary, text = _summary(result), repr(result)
+        unmeasured = 2 * result.removed().get("unconstrained", 0) > result.rows.get("tracks", 0)
         (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     options.say(json.dumps(summary, indent=2) if arguments.json else text)
-    if fits and arguments.keep is None and options.mostly_unconstrained(result.tables["tracks"]):
+    if unmeasured:
         options.warn_unmeasured(detector, "most of the momenta")
     options.note(arguments, f"tables: {arguments.output}{'' if fits else ' (nothing was fitted: --fit does)'}")
     return 0

@@ -179,6 +179,15 @@ def test_momenta_that_are_not_measured_are_named_with_their_unit(method, tmp_pat
     assert "without a unit are in GeV/c" in said
 
 
+@pytest.mark.parametrize("keep", [[], ["--keep", "tracks"]])
+def test_a_simulation_names_momenta_that_are_not_measured(keep, tmp_path, capsys):
+    """Whether its tables are in memory or written in parts."""
+    for p, said in (("0.5", False), ("500", True)):
+        words = ["simulate", "-d", "besiii-cgem", "--p", p, "--theta", "1.5", "-n", "20", "--fit", "--quiet", *keep]
+        assert main([*words, "-o", str(tmp_path / p)]) == 0
+        assert ("does not measure most of the momenta" in capsys.readouterr().err) is said
+
+
 def test_an_interruption_that_became_another_error_has_exit_code_130(monkeypatch, capsys):
     def interrupted(_):
         try:
