@@ -27,7 +27,7 @@ def calls() -> dict[str, list[Call]]:
     expected_errors.cache_clear()
     chip_delays.cache_clear()
     detector = cg.load(DESIGN).with_overrides(
-        {"materials.Kapton.density": "1.4321 g/cm3", "drift_chamber.sigma": "131.7 um"}
+        {"materials.Kapton.density": "1.4321 g/cm3", "drift_chamber.sigma": "131.7 um", "cgem.L2.efficiency": 0.9}
     )
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9), vertex_sigma=(1.0, 1.0, 1.0))
     with recorded(found):

@@ -520,10 +520,10 @@ def spread_readout(tables: dict[str, Any]) -> None:
     """Lay the readout of each CGEM layer of a file over that of the top level, which holds for those without."""
     if "readout" in tables and _is_known(tables["readout"]):
         for label in (layers := _tables(tables, "cgem")):
-            layer = layers[label] = opened(layers[label])
-            if isinstance(layer, dict) and "like" not in layer:
-                own = layer.get("readout")
-                layer["readout"] = tables["readout"] if own is None else laid_readout(tables["readout"], own)
+            layer = opened(layers[label])
+            if isinstance(layer, Mapping) and "like" not in layer:
+                own, top = layer.get("readout"), tables["readout"]
+                layers[label] = {**layer, "readout": top if own is None else laid_readout(top, own)}
 
 
 #: Key of a drift chamber whose layers have been made of its superlayers.

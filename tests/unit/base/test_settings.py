@@ -33,7 +33,7 @@ CHANGED = Settings(
     simulate=SimulateSettings(sublayers=True, foil="lattice", screening="moliere", deltas=False, steps=True),
     digitize=DigitizeSettings(reveal_sides=True),
     cluster=ClusterSettings(position="charge", reference_p=0.1 + 0.2, reference_cos_theta=1 / 3),
-    find=FindSettings(momentum=0.25),
+    find=FindSettings(momentum=0.25, hypothesis="K"),
     fit=FitSettings(
         momentum=0.7, cluster_errors="cluster", screening="moliere", loss="most_probable", momentum_error=0.002,
         residuals=True, states=(90.5, "origin", "hits"), hypothesis=("mu", "K"), max_iterations=7, tolerance=1e-07,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import tomllib
 from collections.abc import Iterator
@@ -312,7 +313,10 @@ def test_the_readout_of_the_top_level_is_for_all_layers_without_their_own() -> N
     assert copied.cgem["LX"].readout == cg.Apv25Readout()
     whole = tomllib.loads(DESIGN.to_toml())
     whole["cgem"]["L2"]["readout"] = {"threshold_x": "3 fC"}
-    of_file = load({**whole, "readout": {"name": "tiger", "noise": "0.7 fC"}})
+    given = {**whole, "readout": {"name": "tiger", "noise": "0.7 fC"}}
+    before = copy.deepcopy(given)
+    of_file = load(given)
+    assert given == before
     assert of_file.cgem["L1"].readout == TigerReadout(noise=0.7)
     assert of_file.cgem["L2"].readout == TigerReadout(noise=0.7, threshold_x=3.0)
 

@@ -221,7 +221,7 @@ def test_a_finder_changes_the_tracks_and_is_named(study, found, tmp_path):
         moved = abs(found[row.id].value - row.value)
         assert moved == 0 if same else 0 < moved < row.error, row.id
     page = paper_report(found, study.folder)
-    share = re.search(r"Hits are found by ckf\. Muons of 1 GeV/c with a track: ([\d.]+) % in besiii-cgem-design", page)
+    share = re.search(r"Hits are found by ckf\. .*mu.* Muons of 1 GeV/c with a track: ([\d.]+) % in besiii-cgem", page)
     assert float(share[1]) > 99.5
     assert "--finder ckf" in page
     assert "assigned by truth, which no finder" in paper_report(study, study.folder)
