@@ -35,22 +35,17 @@ std::vector<WireLayer> make_wires(const py::dict& columns) {
   const auto n = static_cast<std::size_t>(number.size());
   std::vector<WireLayer> layers(n);
   for (std::size_t i = 0; i < n; ++i) {
-    layers[i] = {number.at(i),
-                 cells.at(i),
-                 r_end.at(i),
-                 half_length.at(i),
-                 twist.at(i),
-                 phi_east.at(i),
-                 sigma.at(i),
-                 sigma_slope.at(i),
-                 efficiency.at(i),
-                 gid_first.at(i),
-                 {},
-                 0,
-                 0,
-                 0,
-                 0,
-                 0};
+    WireLayer& layer = layers[i];
+    layer.number = number.at(i);
+    layer.cells = cells.at(i);
+    layer.r_end = r_end.at(i);
+    layer.half_length = half_length.at(i);
+    layer.twist = twist.at(i);
+    layer.phi_east = phi_east.at(i);
+    layer.sigma = sigma.at(i);
+    layer.sigma_slope = sigma_slope.at(i);
+    layer.efficiency = efficiency.at(i);
+    layer.gid_first = gid_first.at(i);
   }
   if (columns.contains("ramp_layer")) {
     const auto layer = take<std::int32_t>(columns, "ramp_layer");

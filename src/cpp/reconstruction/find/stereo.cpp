@@ -186,8 +186,9 @@ void StereoSearch::bent_lines(const FoundCircle& circle, std::size_t most) {
   }
   std::ranges::stable_sort(scored_, [](const Scored& a, const Scored& b) { return a.score > b.score; });
   lines_.clear();
-  for (const auto& [found, score] : scored_) {
+  for (const Scored& scored : scored_) {
     if (lines_.size() == most) return;
+    const FoundLine& found = scored.line;
     const auto is_same = [&](const FoundLine& other) {
       return std::abs(found.z0 - other.z0) < same_z && std::abs(found.tanl - other.tanl) < same_tanl;
     };
