@@ -24,8 +24,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cgemit as cg
-from cgemit.reconstruction.find import truth
 from cgemit.study.readout.scan import scan, scan_ghosts
+from cgemit.truth import assign
 
 detector = cg.load("besiii-cgem-design")
 muon = cg.Gun("mu-", p=1.0, cos_theta=(-0.93, 0.93))
@@ -53,9 +53,9 @@ cg.draw.draw_cluster(result, event=9)
 def x_residuals(run):
     """Residuals of X clusters of true crossings, in um."""
     clusters, _ = run.fitted_hits  # with the angle of the track in the second pass
-    own = truth.own_clusters(detector, clusters, run.truths)
+    own = assign.own_clusters(detector, clusters, run.truths)
     own = own[clusters["view"][own] == 0]
-    return 1000 * truth.residuals(detector, clusters, run.truths, own)
+    return 1000 * assign.residuals(detector, clusters, run.truths, own)
 
 
 # %%
@@ -92,9 +92,9 @@ fig, axes = plt.subplots(figsize=(6, 3.4))
 grid = np.linspace(-6, 6, 61)
 for name, run in (("first pass", result), ("second pass", second)):
     clusters, _ = run.fitted_hits
-    own = truth.own_clusters(detector, clusters, run.truths)
+    own = assign.own_clusters(detector, clusters, run.truths)
     own = own[clusters["view"][own] == 0]
-    pull = truth.residuals(detector, clusters, run.truths, own) / clusters["err_x"][own]
+    pull = assign.residuals(detector, clusters, run.truths, own) / clusters["err_x"][own]
     axes.hist(pull, grid, histtype="step", label=f"{name}: 68 % within {np.quantile(np.abs(pull), 0.683):.2f}")
 axes.plot(grid, len(pull) * 0.2 * np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), "k:", label="unit Gaussian")
 axes.set(xlabel="X residual / error", ylabel="clusters per 0.2")

@@ -26,8 +26,9 @@ import numpy as np
 from matplotlib.patches import Ellipse
 
 import cgemit as cg
-from cgemit.reconstruction.candidates import HIT_WIRE, collect_hits
+from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings, fit
+from cgemit.tables.schema import HIT_WIRE
 
 detector = cg.load("besiii-cgem-design")
 settings = cg.Settings(fit=FitSettings(residuals=True))

@@ -10,7 +10,7 @@ import cgemit as cg
 from cgemit.analysis.widths import measure
 from cgemit.detector.core import layer_table
 from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, reference_widths
-from cgemit.reconstruction.find import truth
+from cgemit.truth import assign
 from pages.page import Found, Numbers, Page, share_of, table
 
 DETECTOR, SEED, TRACKS = "besiii-cgem-design", 3, 20_000
@@ -38,9 +38,9 @@ def pulls(share: float) -> Numbers:
         settings = cg.Settings(simulate=simulate, cluster=cg.ClusterSettings(reference_p=reference))
         gun = cg.Gun("mu-", p=p, cos_theta=(-0.93, 0.93))
         result = cg.run(detector, gun, n, SEED, settings=settings, until="cluster")
-        own = truth.own_clusters(detector, result.clusters, result.truths)
+        own = assign.own_clusters(detector, result.clusters, result.truths)
         own = own[result.clusters["view"][own] == 0]
-        residual = truth.residuals(detector, result.clusters, result.truths, own)
+        residual = assign.residuals(detector, result.clusters, result.truths, own)
         found = measure(residual / result.clusters["err_x"][own])
         rows.append(Pull(p, reference, found.n, found.rms, found.rms_error))
     return Numbers(rows, {"events": f"{n:,} mu- a momentum, cos(theta) uniform in ±0.93, seed {SEED}"})

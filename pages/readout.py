@@ -23,9 +23,9 @@ from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import charge_clusterer
 from cgemit.reconstruction.cluster_errors import COS_THETA as COS_THETAS
 from cgemit.reconstruction.cluster_errors import chip_errors, error_inputs, expected_errors
-from cgemit.reconstruction.find import truth
 from cgemit.study.readout import errors, scan
 from cgemit.tables import Table
+from cgemit.truth import assign
 from pages.page import Found, Numbers, Page, share_of, span, table
 
 DETECTOR, P, COS_THETA, SEED = "besiii-cgem-design", 1.0, (-0.93, 0.93), 77
@@ -158,8 +158,8 @@ def widths(result: cg.Result) -> dict[str, float]:
 
 def cores(result: cg.Result, clusters: cg.Table) -> dict[str, float]:
     """Return core widths of residuals (um) and pulls of the muons' clusters."""
-    own = truth.own_clusters(result.detector, result.clusters, result.truths)
-    residual = 1000 * truth.residuals(result.detector, clusters, result.truths, own)
+    own = assign.own_clusters(result.detector, result.clusters, result.truths)
+    residual = 1000 * assign.residuals(result.detector, clusters, result.truths, own)
     view, found = clusters["view"][own], {}
     for number, name in enumerate("xv"):
         here, error = view == number, 1000 * clusters[f"err_{name}"][own]
@@ -235,7 +235,7 @@ def shares_of(at: errors.Design, jitter: bool, displaced: float, n: int, seed: i
 
     base = measured(none)
     # Without a direction another cluster of the crossing is selected; at the edge of a sheet variances are no sums.
-    own = truth.own_clusters(at.detector, clusters(none, directions), result.truths)
+    own = assign.own_clusters(at.detector, clusters(none, directions), result.truths)
     known = np.isfinite(directions[own, 0]) & errors.inside_of_sheet(at.detector, base)
     plane = {name: values[base.view * len(at.detector.cgem) + base.layer] for name, values in inputs.planes.items()}
 
@@ -398,9 +398,9 @@ def _pull_of(result: cg.Result, name: str) -> cg.Resolution:
     if name not in "xv":
         return track_pulls(result)[name]
     clusters = result.clusters if result.refined_clusters is None else result.refined_clusters
-    own = truth.own_clusters(result.detector, result.clusters, result.truths)
+    own = assign.own_clusters(result.detector, result.clusters, result.truths)
     own = own[clusters["view"][own] == "xv".index(name)]
-    residual = truth.residuals(result.detector, clusters, result.truths, own)
+    residual = assign.residuals(result.detector, clusters, result.truths, own)
     return measure(residual / clusters[f"err_{name}"][own], parameter=name, unit="")
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cgemit as cg
-from cgemit.analysis import bes3_wires
-from cgemit.analysis.bes3 import Bes3Events, read_events
-from cgemit.analysis.refit import refit
+from cgemit.bes3 import wires as bes3_wires
+from cgemit.bes3.events import Bes3Events, read_events
+from cgemit.bes3.refit import refit
 from pages.page import Found, MissingToolError, Numbers, Page
 
 FILE = Path("pybes3-0.5.6/tests/data/test_full_mc_evt_1.rec")

@@ -10,8 +10,9 @@ import cgemit as cg
 from cgemit import helix
 from cgemit.analysis.widths import share_error
 from cgemit.helix import PARAMETERS
-from cgemit.reconstruction.fit import FitStatus, fit
+from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
+from cgemit.tables.schema import FitStatus
 from pages.page import Found, Numbers, Page, share_of, table
 from pages.scenarios import SCENARIOS, Outcome, run_scenario
 

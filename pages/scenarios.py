@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from cgemit.analysis.widths import Resolution, measure
 from cgemit.chain import run
-from cgemit.chain.match import compare
 from cgemit.chain.result import Result
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.detector import Detector, compiled, load
 from cgemit.particles.gun import Gun, Guns, Source, generate
 from cgemit.particles.species import species
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X
-from cgemit.reconstruction.fit import FitStatus, fit
+from cgemit.reconstruction.fit import fit
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, FitStatus
+from cgemit.truth.match import compare
 
 Rows = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 import cgemit as cg
-from cgemit.analysis import bes3_wires
-from cgemit.analysis.bes3 import read_events
-from cgemit.analysis.refit import refit
+from cgemit.bes3 import wires as bes3_wires
+from cgemit.bes3.events import read_events
+from cgemit.bes3.refit import refit
 
 #: File, detector, particle.
 SAMPLES = (("test_full_mc_evt_1.rec", "besiii-idc", "pi"), ("test_cgem.rec", "besiii-cgem", "mu"))

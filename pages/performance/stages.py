@@ -24,13 +24,13 @@ from cgemit.detector import Detector, compiled, load
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import truth
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.reconstruction.fit import core_arguments as fit_arguments
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.simulation.transport import core_arguments as simulate_arguments
 from cgemit.tables import Table
+from cgemit.truth import finder
 from pages.page import ROOT, Numbers
 from pages.performance.timing import DETECTOR, GUN, SEED, fastest, instruction_set, machine, product_us
 
@@ -171,7 +171,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
     }
 
     def candidates() -> dict[str, Table]:
-        return truth.by_truth(detector, particles, clusters, wire_hits[hidden], truths, wire_truths)
+        return finder.by_truth(detector, particles, clusters, wire_hits[hidden], truths, wire_truths)
 
     found = candidates()
     chosen = found["candidates"], found["candidate_hits"]

@@ -10,8 +10,6 @@ from .base.errors import DetectorError as DetectorError
 from .base.progress import ProgressBar as ProgressBar
 from .base.version import __version__ as __version__
 from .chain.executor import Workers as Workers
-from .chain.match import MatchStatus as MatchStatus
-from .chain.match import match as match
 from .chain.result import Result as Result
 from .chain.result import open as open
 from .chain.run import Output as Output
@@ -38,7 +36,6 @@ from .reconstruction.clusterers.clusterer import ClusterSettings as ClusterSetti
 from .reconstruction.find.ckf import FindSettings as FindSettings
 from .reconstruction.find.ckf import find_tracks as find_tracks
 from .reconstruction.fit import FitSettings as FitSettings
-from .reconstruction.fit import FitStatus as FitStatus
 from .reconstruction.fit import fit as fit
 from .reconstruction.given_hits import fit_hits as fit_hits
 from .reconstruction.reconstruct import reconstruct as reconstruct
@@ -61,4 +58,7 @@ from .simulation.slab import slab as slab
 from .simulation.transport import SimulateSettings as SimulateSettings
 from .simulation.transport import TransportStatus as TransportStatus
 from .simulation.transport import simulate as simulate
+from .tables.schema import FitStatus as FitStatus
 from .tables.table import Table as Table
+from .truth.match import MatchStatus as MatchStatus
+from .truth.match import match as match

@@ -10,7 +10,7 @@ import awkward as ak
 import numpy as np
 
 from cgemit import helix
-from cgemit.analysis.bes3 import HYPOTHESES
+from cgemit.bes3.events import HYPOTHESES
 from cgemit.detector.drift import propagation_time
 from cgemit.units import LIGHT
 

@@ -17,13 +17,13 @@ import numpy as np
 from cgemit import helix
 from cgemit.detector import load
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import truth
-from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit, has_cov
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, fit, has_cov
 from cgemit.simulation import transport
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.schema import HIT_WIRE, FitStatus
+from cgemit.truth import finder
 from pages.performance.stages import SMEARING, smeared
 from pages.scenarios import Hits, add_noise, exchange_clusters, keep, lose_layers
 
@@ -60,7 +60,7 @@ def tracks(n, random):
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], settings, 1, steps=tables["steps"])
     tables["clusters"] = cluster(detector, tables["digis"])
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    found = truth.by_truth(detector, *(tables[name] for name in names))
+    found = finder.by_truth(detector, *(tables[name] for name in names))
     hits = Hits(*found.values(), tables["clusters"], tables["wire_hits"])
     hits = lose_layers(hits, random.choice([0.0, 0.0, 0.3, 0.8]), random)
     hits = add_noise(detector, hits, random.choice([0.0, 0.1, 0.5]), random)

@@ -20,10 +20,10 @@ from cgemit.covariance.result import Covariance
 from cgemit.detector.gas import ionization, mean_shift
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.reconstruction.cluster import cluster, clusterer_of
-from cgemit.reconstruction.find import truth
 from cgemit.study.readout.errors import measurements
 from cgemit.study.readout.scan import beam_detector, beam_run, beam_views
 from cgemit.tables import Table
+from cgemit.truth import assign
 from clusterers import expect
 
 PLANE = beam_detector(0.0)
@@ -232,8 +232,8 @@ def test_pulls_of_clusters_by_charge_and_size(second_pass: bool) -> None:
     """
     result = tiger_run(second_pass)
     clusters = result.fitted_hits[0]
-    own = truth.own_clusters(result.detector, clusters, result.truths)
-    pull = truth.residuals(result.detector, clusters, result.truths, own)
+    own = assign.own_clusters(result.detector, clusters, result.truths)
+    pull = assign.residuals(result.detector, clusters, result.truths, own)
     pull /= np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
     within, off = 0.06 if second_pass else 0.1, set()
     for number, view in enumerate("xv"):

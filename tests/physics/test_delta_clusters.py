@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 import gem_toy
-from cgemit.chain.match import joined, match
 from cgemit.detector import load
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import by_truth
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.study import pulls, resolution
 from cgemit.tables import Table
+from cgemit.truth.finder import by_truth
+from cgemit.truth.match import joined, match
 
 DESIGN = load("besiii-cgem-design")
 RATE, MOST = 0.04, 20  # one crossing in 25 gets strips beside it: k of 20 with a weight of 1/k

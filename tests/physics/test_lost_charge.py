@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.reconstruction.find.truth import own_clusters, residuals
+from cgemit.truth.assign import own_clusters, residuals
 from stats import fraction_error
 
 DESIGN = cg.load("besiii-cgem-design")

@@ -9,18 +9,18 @@ import numpy.typing as npt
 import pytest
 
 from cgemit import helix
-from cgemit.chain.match import joined, match
 from cgemit.chain.run import run
 from cgemit.detector import Detector, field_at, load
 from cgemit.particles.gun import Gun, generate
-from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import truth
-from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus, fit
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings, fit
 from cgemit.reconstruction.states import StateStatus, Surface
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_WIRE, FitStatus
+from cgemit.truth import finder
+from cgemit.truth.match import joined, match
 from exact import assert_standard_normal, exact
 from fields import HARMONIC
 
@@ -55,7 +55,7 @@ def sample(
     tables |= digitize(detector, tables["truths"], tables["wire_truths"], settings.digitize, 21, steps=tables["steps"])
     tables["clusters"] = cluster(detector, tables["digis"])
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
-    found = truth.by_truth(detector, *(tables[name] for name in names))
+    found = finder.by_truth(detector, *(tables[name] for name in names))
     hits = found["candidate_hits"]
     layer = tables["wire_hits"]["layer"][np.where(hits["view"] == HIT_WIRE, hits["row"], 0)]
     hits = hits[(hits["view"] != HIT_WIRE) | (layer <= LAST_LAYER)]

@@ -12,16 +12,18 @@ from typing import Any
 
 PACKAGES = ("cgemit", "cgemit.detector", "cgemit.tables", "cgemit.study", "cgemit.draw")
 MODULES = (
-    "chain.match",
     "helix",
     "particles.table",
     "reconstruction.candidates",
     "reconstruction.cluster",
     "reconstruction.find.ckf",
     "reconstruction.find.loops",
-    "reconstruction.find.truth",
     "simulation.digitize",
     "simulation.transport",
+    "truth.assign",
+    "truth.finder",
+    "truth.match",
+    "truth.origins",
 )
 
 

@@ -17,15 +17,16 @@ CPP_LAYERS = [
     {"motion"},
     {"matter"},
     {"kalman"},
+    {"readout"},
     {"covariance"},
-    {"simulation/transport", "simulation/digitize", "simulation/background", "simulation/truth"}
+    {"simulation/transport", "simulation/digitize", "simulation/background", "truth"}
     | {"reconstruction/cluster", "reconstruction/find", "reconstruction/fit"},
     {"kernels"},
     {"bindings"},
 ]
-# A folder may import those before it; modules of one folder may import each other, but not in a circle. Simulation and
-# reconstruction stand side by side: real data have no simulation. Units and base count as one folder. Pictures take
-# data: curves, tables, results. Studies measure, and draw what they found.
+# A folder may import those before it; modules of one folder may import each other, but not in a circle. Simulation,
+# reconstruction and truth stand side by side: real data have neither simulation nor truth. Units and base count as one
+# folder. Pictures take data: curves, tables, results. Studies measure, and draw what they found.
 # `__init__` lists names for users, so it sees all of them.
 PYTHON_LAYERS = [
     {"_core"},
@@ -34,9 +35,10 @@ PYTHON_LAYERS = [
     {"detector", "helix"},
     {"particles"},
     {"fit_matter"},
-    {"reconstruction", "simulation"},
+    {"reconstruction", "simulation", "truth"},
     {"chain"},
     {"analysis"},
+    {"bes3"},
     {"covariance"},
     {"draw"},
     {"study"},

@@ -13,7 +13,7 @@ from borders import Call, deaths, recorded
 from cgemit import _core
 from cgemit.particles.species import compiled_decays
 from cgemit.reconstruction.cluster_errors import chip_delays, expected_errors
-from cgemit.reconstruction.find import particle_rows
+from cgemit.truth.origins import particle_rows
 
 DESIGN = "besiii-cgem-design"
 

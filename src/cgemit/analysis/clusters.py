@@ -24,10 +24,10 @@ from cgemit.analysis.quantities import V, X
 from cgemit.analysis.widths import GaussianFit, Resolution, gaussian_fit, measure, share_error
 from cgemit.base.arrays import Floats
 from cgemit.chain.result import Result
-from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
 from cgemit.tables.show import Comparable, Shown, Tabular, with_error
+from cgemit.truth import assign
 
 Ints = npt.NDArray[np.int32]
 
@@ -80,7 +80,7 @@ class ClusterResiduals:
 
 
 def cluster_residuals(result: Result) -> ClusterResiduals:
-    """Return the residuals of the clusters that the fit gets (`cgemit.reconstruction.find.truth.own_clusters`).
+    """Return the residuals of the clusters that the fit gets (`cgemit.truth.assign.own_clusters`).
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def cluster_residuals(result: Result) -> ClusterResiduals:
         Empty arrays for a detector without CGEM layers.
     """
     clusters, truths, detector = result.fitted_clusters, result.truths, result.detector
-    own = truth.own_clusters(detector, clusters, truths)
+    own = assign.own_clusters(detector, clusters, truths)
     residual, size, view = (
-        truth.residuals(detector, clusters, truths, own),
+        assign.residuals(detector, clusters, truths, own),
         clusters["size"][own],
         clusters["view"][own],
     )

@@ -12,9 +12,9 @@ from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import Resolution, measure
 from cgemit.base.arrays import Floats
 from cgemit.chain.result import Result
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
+from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown, Tabular, with_error
 
 #: Parameters of the same muon flown backward: signs of dr, phi0, kappa, dz, tanl; phi0 also turns by pi.

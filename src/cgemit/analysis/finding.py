@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from cgemit.analysis.widths import Fraction
 from cgemit.base.arrays import Flags, Floats
-from cgemit.chain.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
 from cgemit.chain.result import Result
 from cgemit.chain.settings import finder_of, mass_by
 from cgemit.detector.inventory import channels as strips
-from cgemit.reconstruction.candidates import HIT_V, HIT_X
 from cgemit.reconstruction.find.ckf import SeedLayers, have_seeds, wire_layers
 from cgemit.reconstruction.find.loops import link_loops
-from cgemit.reconstruction.find.truth import have_flown, own_clusters, particle_rows
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_X, FitStatus
 from cgemit.tables.show import Shown
+from cgemit.truth.assign import own_clusters
+from cgemit.truth.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
+from cgemit.truth.origins import have_flown, origins_of
 
 Rows = npt.NDArray[np.int64]
 Column = npt.NDArray[Any]
@@ -68,7 +68,7 @@ def count_particles(result: Result) -> ParticleCounts:
     particles, clusters, wire_hits = result.particles, result.clusters, result.wire_hits
     n = len(particles)
     rows = own_clusters(result.detector, clusters, result.truths)
-    of_truth = _origins(particles, result.truths)
+    of_truth = origins_of(particles, result.truths)
     truth = clusters["truth"][rows]
     mine = of_truth.first[truth]
     rows, truth = rows[mine], truth[mine]
@@ -79,7 +79,7 @@ def count_particles(result: Result) -> ParticleCounts:
     stereo_angle = np.array([layer.stereo for layer in result.detector.layers])
     sign = np.where(np.abs(np.cos(stereo_angle)) > _ALONG, np.sign(stereo_angle), 0)
     crossed = np.minimum(v[:, sign > 0].sum(axis=1), v[:, sign < 0].sum(axis=1))
-    of_wire = _origins(particles, result.wire_truths).linked(wire_hits["wire_truth"])
+    of_wire = origins_of(particles, result.wire_truths).linked(wire_hits["wire_truth"])
     tilted = np.array([layer.twist != 0 for layer in wire_layers(result.detector)], np.bool_)
     fired = np.zeros((n, len(tilted)), np.bool_)
     on = of_wire.first
@@ -94,33 +94,6 @@ def count_particles(result: Result) -> ParticleCounts:
         across, along, crossed, wires, stereo, (crossings + wires).astype(np.int64),
         SeedLayers(x & v, axial_layers + across, stereo_layers + along),
     )  # fmt: skip
-
-
-class _Origins(NamedTuple):
-    """Row of the particle of each truth (-1: none), and whether a daughter or another half turn left it."""
-
-    owner: Rows
-    late: Flags
-    looped: Flags
-
-    @property
-    def first(self) -> Flags:
-        """Whether a particle left it on its first half turn."""
-        return (self.owner >= 0) & ~self.late & ~self.looped
-
-    def linked(self, link: Rows) -> _Origins:
-        """Return the same for rows that link to truths."""
-        position = np.where(link >= 0, link, -1)
-        return _Origins(
-            *(
-                np.append(values, values.dtype.type(none)).take(position)
-                for values, none in zip(self, (-1, 0, 0), strict=True)
-            )
-        )
-
-
-def _origins(particles: Table, truths: Table) -> _Origins:
-    return _Origins(particle_rows(particles, truths), truths["daughter"] > 0, truths["half_turn"] != 0)
 
 
 def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, int]]:

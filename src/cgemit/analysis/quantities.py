@@ -17,8 +17,9 @@ from cgemit import _core, helix, tables
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import did_you_mean
-from cgemit.chain.match import is_matched
-from cgemit.reconstruction.fit import FitSettings, FitStatus
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.tables.schema import FitStatus
+from cgemit.truth.match import is_matched
 
 #: Places of the 15 entries of the upper triangle in a covariance.
 UPPER = np.triu_indices(len(helix.PARAMETERS))

@@ -15,11 +15,12 @@ from cgemit.analysis.widths import HEAD, Resolution, measure, stacked
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import did_you_mean
 from cgemit.base.validate import InTurn
-from cgemit.chain.match import counts_left_out, is_fitted
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
 from cgemit.particles.species import species
 from cgemit.tables import PARAMETERS, Table
+from cgemit.tables.schema import is_fitted
 from cgemit.tables.show import Comparable, Shown, Tabular, html_table, with_error
+from cgemit.truth.match import counts_left_out
 
 #: What tracks can be binned in: a function of the table, and the unit.
 BY: dict[str, tuple[Callable[[Table | TrackColumns], Floats], str]] = {

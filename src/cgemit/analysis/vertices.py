@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cgemit.chain.match import joined
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
+from cgemit.truth.match import joined
 
 _QUANTITIES = ("x", "y", "z", "mass")
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.base.files import new_folder
-from cgemit.chain.match import counts_left_out, joined
 from cgemit.chain.record import Run, gun_data, read_run, record, write_about
 from cgemit.chain.settings import (
     EVERY_RUN,
@@ -32,6 +31,7 @@ from cgemit.tables.check import refuse_wrong
 from cgemit.tables.formats import check_format
 from cgemit.tables.store import StoredTables, about_of, column_of, write_tables
 from cgemit.tables.table import what
+from cgemit.truth.match import counts_left_out, joined
 
 #: Columns that `Result.tracks` takes from the matches.
 _MATCHED = {column.name for column in SCHEMAS["matches"]} - {"event", "track"}

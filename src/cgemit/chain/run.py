@@ -28,7 +28,7 @@ from cgemit.chain.executor import (
     check_memory,
     chunk_for,
 )
-from cgemit.chain.match import match
+from cgemit.chain.finders import FINDERS, Truths
 from cgemit.chain.record import table_meta, write_about
 from cgemit.chain.result import Result
 from cgemit.chain.result import open as open_run
@@ -52,7 +52,6 @@ from cgemit.detector.reader import readout_of
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
-from cgemit.reconstruction.find import FINDERS, Truths
 from cgemit.reconstruction.find.ckf import warn_of_no_seeds
 from cgemit.reconstruction.reconstruct import turns
 from cgemit.reconstruction.refine import Hits
@@ -63,6 +62,7 @@ from cgemit.tables import Table
 from cgemit.tables.formats import check_format
 from cgemit.tables.store import JoinedTables, PartsWriter, StoredTables
 from cgemit.tables.table import without_links
+from cgemit.truth.match import match
 
 Tables = dict[str, Table]
 

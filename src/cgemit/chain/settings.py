@@ -24,7 +24,7 @@ from cgemit.simulation.digitizers import Digitizer
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
 
-#: A name of `cgemit.reconstruction.find.FINDERS`, or any function of (detector, clusters, wire_hits).
+#: A name of `cgemit.chain.finders.FINDERS`, or any function of (detector, clusters, wire_hits).
 FinderLike = Finder | str
 
 STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can end

@@ -639,7 +639,7 @@ def note(arguments: argparse.Namespace, text: str) -> None:
 
 def mostly_unconstrained(tracks: Table) -> bool:
     """Return whether most tracks do not measure their momentum."""
-    from cgemit.reconstruction.fit import FitStatus
+    from cgemit.tables.schema import FitStatus
 
     unconstrained = int((tracks["status"] == FitStatus.unconstrained).sum())
     return 2 * unconstrained > len(tracks)

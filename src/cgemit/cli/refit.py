@@ -11,7 +11,7 @@ from cgemit.base.version import __version__
 from cgemit.cli import options
 
 if TYPE_CHECKING:
-    from cgemit.analysis.refit import Refit
+    from cgemit.bes3.refit import Refit
 
 
 DESCRIPTION = """\
@@ -51,9 +51,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit and compare."""
-    from cgemit.analysis.bes3 import CLUSTER_ERRORS, read_events
-    from cgemit.analysis.refit import CLUSTER_POSITIONS, KINDS, refit
     from cgemit.base.files import check_free
+    from cgemit.bes3.events import CLUSTER_ERRORS, read_events
+    from cgemit.bes3.refit import CLUSTER_POSITIONS, KINDS, refit
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)

@@ -29,13 +29,13 @@ from cgemit.covariance.tracks import (
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.keys import once
 from cgemit.detector.parts import DriftChamber, Readout
-from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
 from cgemit.reconstruction.cluster_errors import COS_THETA
 from cgemit.reconstruction.clusterers.clusterer import Clusterer
-from cgemit.reconstruction.fit import FitSettings, FitStatus, compiled_for_fit
+from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from cgemit.reconstruction.states import StateStatus, Surface, shares_inside
 from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.tables.schema import HIT_WIRE, FitStatus
 
 Columns = dict[str, npt.NDArray[Any]]
 

@@ -21,7 +21,8 @@ from cgemit.detector import SCREENINGS, Detector
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import Layer
 from cgemit.fit_matter import unseen_cut
-from cgemit.reconstruction.fit import FitStatus, compiled_for_fit
+from cgemit.reconstruction.fit import compiled_for_fit
+from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown, data_frame
 from cgemit.units import GEV_PER_T_MM
 

@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import QUANTITIES, REPORTED
-from cgemit.analysis.refit import FITS, Refit
 from cgemit.base.arrays import Floats
+from cgemit.bes3.refit import FITS, Refit
 from cgemit.chain.result import Result, tracks_of
 from cgemit.draw.style import (
     COLORS,
@@ -485,8 +485,8 @@ def draw_refit(result: Refit) -> Picture:
 
     Examples
     --------
-    >>> from cgemit.analysis.bes3 import read_events
-    >>> from cgemit.analysis.refit import refit
+    >>> from cgemit.bes3.events import read_events
+    >>> from cgemit.bes3.refit import refit
     >>> events = read_events("run.rec", "besiii-idc-boss")  # doctest: +SKIP
     >>> cg.draw.draw_refit(refit(events)).save("refit")  # doctest: +SKIP
     """

@@ -16,10 +16,11 @@ from cgemit.detector.parts import CgemLayer, Cylinder, MeasurementLayer, cgem_nu
 from cgemit.draw.style import COLORS, plain, statistics_box
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.particles.species import species
-from cgemit.reconstruction.find.truth import residuals
-from cgemit.reconstruction.fit import FitStatus, fit
+from cgemit.reconstruction.fit import fit
 from cgemit.reconstruction.states import StateStatus, Surface
 from cgemit.tables import Table
+from cgemit.tables.schema import FitStatus
+from cgemit.truth.assign import residuals
 
 if TYPE_CHECKING:
     from cgemit.chain.result import Result

@@ -15,14 +15,10 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.channels import checked
 from cgemit.particles.species import HYPOTHESES
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.tables.table import kind_problems, what
 
 Column = npt.NDArray[Any]
-
-HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
-"""Views of hits; a hit of view `HIT_XV` is an XV cluster with both its coordinates."""
-XV_CLUSTER = 2
-"""View of XV clusters in the clusters table."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.states import USUAL_MOMENTUM, SurfaceName, state_columns
 from cgemit.tables import Table
+from cgemit.tables.schema import FitStatus
 
 MassHypothesis = Literal[Hypothesis, "all"]
 ClusterErrors = Literal["track", "cluster"]
@@ -195,7 +196,6 @@ def start_radii(candidates: Table, settings: FitSettings) -> Floats:
     return radii
 
 
-FitStatus = _core.FitStatus
 Columns = dict[str, npt.ArrayLike]
 Out = dict[str, npt.NDArray[np.generic]]  # what the compiled fit returns
 

@@ -14,15 +14,7 @@ from cgemit.base.errors import did_you_mean
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.parts import cgem_numbers, crossing_z, local_v, pitches
 from cgemit.particles.species import HYPOTHESES
-from cgemit.reconstruction.candidates import (
-    HIT_V,
-    HIT_WIRE,
-    HIT_X,
-    XV_CLUSTER,
-    Finder,
-    check_found,
-    label_candidates,
-)
+from cgemit.reconstruction.candidates import Finder, check_found, label_candidates
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
@@ -30,6 +22,7 @@ from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import RefineSettings, refinements
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
 from cgemit.tables.show import columns_of
 
 Column = npt.NDArray[Any]

@@ -24,12 +24,12 @@ from cgemit.detector import Detector
 from cgemit.detector.drift import BESIII, DriftRelation, _of_layers, propagation_time, relation_of
 from cgemit.detector.parts import local_v
 from cgemit.particles.species import HYPOTHESES
-from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import displaced
 from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_WIRE
 from cgemit.units import LIGHT
 
 Rows = npt.NDArray[np.signedinteger[Any]]

@@ -15,7 +15,6 @@ from cgemit.analysis.resolutions import Pulls, pulls
 from cgemit.analysis.widths import FEWEST
 from cgemit.base.validate import InTurn
 from cgemit.chain import run
-from cgemit.chain.match import measuring
 from cgemit.chain.record import gun_data, record
 from cgemit.chain.settings import FinderLike, Settings, tables_made
 from cgemit.detector import Detector, MapField
@@ -23,10 +22,11 @@ from cgemit.detector.parts import extent
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
 from cgemit.reconstruction.candidates import finder_name
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.simulation.transport import TransportStatus
 from cgemit.tables import Table
+from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown
+from cgemit.truth.match import measuring
 
 #: Shows progress: share of the work that is done (0 to 1) and what is running.
 ShowProgress = Callable[[float, str], None]

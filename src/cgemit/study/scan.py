@@ -33,7 +33,6 @@ from cgemit.detector import Detector, load
 from cgemit.detector.export import write_files
 from cgemit.particles.species import HYPOTHESES, species
 from cgemit.reconstruction.candidates import finder_name
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import samples
 from cgemit.study.samples import (
     Order,
@@ -52,6 +51,7 @@ from cgemit.study.samples import (
     transverse,
     why_unfitted,
 )
+from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown, Tabular, text_table, with_error, write_csv
 
 Columns = dict[str, list[Any]]

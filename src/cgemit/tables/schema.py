@@ -11,7 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Flags
 from cgemit.base.errors import did_you_mean
+
+FitStatus = _core.FitStatus
+
+HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
+"""Views of hits; a hit of view `HIT_XV` is an XV cluster with both its coordinates."""
+XV_CLUSTER = 2
+"""View of XV clusters in the clusters table."""
 
 
 @dataclass(frozen=True)
@@ -455,7 +463,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **{
             f"{table}.status": (0, len(kind.__members__) - 1)
             for table, kind in (
-                ("particles", _core.TransportStatus), ("decays", _core.TransportStatus), ("tracks", _core.FitStatus),
+                ("particles", _core.TransportStatus), ("decays", _core.TransportStatus), ("tracks", FitStatus),
                 ("states", _core.StateStatus),
             )
         },
@@ -475,10 +483,21 @@ _MAY_BE_NAN = frozenset(
 #: Statuses of the rows whose numbers count, by table; in other tables all rows count.
 FITTED: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
-        "tracks": (int(_core.FitStatus.ok), int(_core.FitStatus.unconstrained)),
+        "tracks": (int(FitStatus.ok), int(FitStatus.unconstrained)),
         **dict.fromkeys(("states", "vertices", "start_times"), (0,)),
     }
 )
+
+
+def is_fitted(tracks: Any) -> Flags:
+    """Return which tracks were fitted, with a measured momentum or without (`unconstrained`), (tracks,) bool.
+
+    Parameters
+    ----------
+    tracks : Table, or columns by name
+    """
+    return np.isin(tracks["status"], FITTED["tracks"])
+
 
 #: Links that lead to a row; others are -1 where there is none.
 NEEDED_LINKS = frozenset(

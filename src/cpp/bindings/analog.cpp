@@ -15,7 +15,7 @@
 #include "bindings/part.hpp"
 #include "bindings/settings.hpp"
 #include "kernels/kernels.hpp"
-#include "simulation/digitize/strip_delays.hpp"
+#include "readout/strip_delays.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

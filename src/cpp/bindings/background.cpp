@@ -6,7 +6,7 @@
 #include <tuple>
 
 #include "bindings/arrays.hpp"
-#include "detector/strip_maps.hpp"
+#include "readout/strip_maps.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

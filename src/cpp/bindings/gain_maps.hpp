@@ -2,7 +2,7 @@
 #pragma once
 
 #include "bindings/inputs.hpp"
-#include "detector/strip_maps.hpp"
+#include "readout/strip_maps.hpp"
 
 namespace cgemit::bindings {
 

@@ -24,6 +24,7 @@
 #include "matter/loss.hpp"
 #include "motion/helix.hpp"
 #include "motion/wire.hpp"
+#include "readout/shaper.hpp"
 #include "reconstruction/cluster/charge_time.hpp"
 #include "reconstruction/find/bit_counts.hpp"
 #include "reconstruction/find/compete.hpp"
@@ -31,7 +32,6 @@
 #include "simulation/digitize/analog_batch.hpp"
 #include "simulation/digitize/avalanche.hpp"
 #include "simulation/digitize/projection.hpp"
-#include "simulation/digitize/shaper.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

@@ -2,7 +2,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/inputs.hpp"
-#include "simulation/truth/owners.hpp"
+#include "truth/owners.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;

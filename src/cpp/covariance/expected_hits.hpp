@@ -8,13 +8,13 @@
 #include "covariance/covariance.hpp"
 #include "covariance/given_errors.hpp"
 #include "covariance/recorded.hpp"
-#include "detector/cluster_errors.hpp"
 #include "detector/strip_plane.hpp"
 #include "detector/wires.hpp"
 #include "matter/draws.hpp"
 #include "motion/cells.hpp"
 #include "motion/reach.hpp"
 #include "motion/uniform.hpp"
+#include "readout/cluster_errors.hpp"
 
 namespace cgemit {
 

@@ -8,9 +8,10 @@ import pytest
 import cgemit as cg
 from cgemit.analysis.finding import ParticleCounts, findable_of
 from cgemit.analysis.widths import Fraction
-from cgemit.chain.match import match
-from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
+from cgemit.reconstruction.candidates import label_candidates
 from cgemit.reconstruction.fit import fit
+from cgemit.tables.schema import HIT_WIRE
+from cgemit.truth.match import match
 from stats import assert_within
 
 

@@ -22,7 +22,6 @@ from cgemit.particles.gun import Gun, generate
 from cgemit.particles.records import ParticleError
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import by_truth
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import simulate
@@ -30,6 +29,7 @@ from cgemit.study import chi2_flatness, gaussian_fit, pulls, scan, sweep
 from cgemit.study.optimize.run import read_optimize_plan
 from cgemit.study.sweep.plan import PlanError, read_plan
 from cgemit.tables import Table
+from cgemit.truth.finder import by_truth
 from cgemit.units import QuantityError, parse_quantity
 from fitted import make_tracks
 from interrupts import on_terminal

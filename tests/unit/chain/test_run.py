@@ -22,10 +22,11 @@ from cgemit.detector import load, write_field_map
 from cgemit.detector.readouts import READOUTS
 from cgemit.particles.gun import Gun
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.fit import FitSettings, FitStatus
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table, load_tables
+from cgemit.tables.schema import FitStatus
 
 GUN = Gun("mu-", p=(0.2, 1.5), cos_theta=(-0.9, 0.9), vertex_sigma=(0.3, 0.01, 8.0)) + Gun("pi+", pt=0.3, theta=1.2)
 SETTINGS = Settings(fit=FitSettings(residuals=True))

@@ -16,8 +16,8 @@ import pytest
 
 import bes3_layout
 import cgemit as cg
-from cgemit.analysis import bes3
 from cgemit.base.files import CONTENTS, OutputExistsError
+from cgemit.bes3 import events as bes3_events
 from cgemit.cli.main import COMMANDS, build_parser, main
 from cgemit.detector import write_field_map
 from cgemit.draw.display import event_3d, save_page
@@ -67,7 +67,7 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("run.rec").write_bytes(b"root")
     run = cg.run(DESIGN, cg.Gun("pi-", p=0.5, cos_theta=(-0.5, 0.5)), 3)
     arrays = bes3_layout.events_of(run)
-    monkeypatch.setattr(bes3, "read_bes3", lambda _: (bes3.columns_of_events(arrays), run.n_events))
+    monkeypatch.setattr(bes3_events, "read_bes3", lambda _: (bes3_events.columns_of_events(arrays), run.n_events))
     return tmp_path
 
 

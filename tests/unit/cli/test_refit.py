@@ -11,8 +11,8 @@ import pytest
 import bes3_layout
 import cgemit as cg
 from cgemit import helix
-from cgemit.analysis import bes3
-from cgemit.analysis.refit import Refit, displacement, refit
+from cgemit.bes3 import events as bes3_events
+from cgemit.bes3.refit import Refit, displacement, refit
 from cgemit.cli.main import main
 from cgemit.draw import draw_refit
 
@@ -28,7 +28,9 @@ def run():
 
 @pytest.fixture(scope="module")
 def found(run):
-    return refit(bes3.events_of(bes3_layout.events_of(run), run.detector), "kal", cg.FitSettings(hypothesis="pi"))
+    return refit(
+        bes3_events.events_of(bes3_layout.events_of(run), run.detector), "kal", cg.FitSettings(hypothesis="pi")
+    )
 
 
 def moved(found: Refit, name: str, errors: np.ndarray) -> Refit:
@@ -57,13 +59,13 @@ def test_displacement():
     gun = cg.Gun("mu-", p=(0.5, 1.5), cos_theta=(-0.8, 0.8))
     arrays = bes3_layout.events_of(cg.run(there, gun, n=40, seed=5, settings=settings))
     muon = cg.FitSettings(hypothesis="mu")
-    beside = refit(bes3.events_of(arrays, nominal), "kal", muon)
+    beside = refit(bes3_events.events_of(arrays, nominal), "kal", muon)
     assert np.abs(beside.columns["pull_dr"]).max() > 2
     found = displacement(beside, nominal)
     np.testing.assert_allclose(found.value, [0.08, 0.98, -0.3, 2e-3], atol=0.03)
     assert found.value[3] == pytest.approx(2e-3, abs=1e-4)
     assert (np.abs(found.value - [0.08, 0.98, -0.3, 2e-3]) < 5 * found.error).all()
-    again = refit(bes3.events_of(arrays, nominal.with_overrides(found.overrides)), "kal", muon)
+    again = refit(bes3_events.events_of(arrays, nominal.with_overrides(found.overrides)), "kal", muon)
     assert np.abs(again.columns["pull_dr"]).max() < 0.5
     few = Refit(
         beside.kind, beside.detector, beside.ours[:3], beside.boss[:3], {k: v[:3] for k, v in beside.columns.items()}
@@ -105,7 +107,7 @@ def file(run, monkeypatch, tmp_path):
     path = tmp_path / "run.rec"
     path.write_bytes(b"root")
     arrays = bes3_layout.events_of(run)
-    monkeypatch.setattr(bes3, "read_bes3", lambda _: (bes3.columns_of_events(arrays), run.n_events))
+    monkeypatch.setattr(bes3_events, "read_bes3", lambda _: (bes3_events.columns_of_events(arrays), run.n_events))
     return path
 
 
@@ -148,7 +150,7 @@ def test_options(file, capsys):
     every = printed("--hypothesis", "all", "--clusters", "all")
     assert every["kal"]["tracks"] == 5 * usual["kal"]["tracks"]
     assert "160 um and 150 um" in capsys_help(capsys)
-    assert bes3.CLUSTER_ERRORS == (0.16, 0.15)
+    assert bes3_events.CLUSTER_ERRORS == (0.16, 0.15)
     assert main([*line, "--cluster-errors", "0", "1 mm"]) == 2
 
 
@@ -157,7 +159,7 @@ def test_json_counts_the_tracks_that_both_have_fitted(file, monkeypatch, capsys)
         one = refit(*how)
         return replace(one, boss=one.boss.with_columns(status=np.where(np.arange(len(one.boss)) < 5, 5, 0)))
 
-    monkeypatch.setattr("cgemit.analysis.refit.refit", failing)
+    monkeypatch.setattr("cgemit.bes3.refit.refit", failing)
     assert main(["refit", str(file), "-d", "besiii-cgem-design", "--tracks", "kal", "--json"]) == 0
     about = json.loads(capsys.readouterr().out)["kal"]
     assert (about["tracks"], about["fitted"]) == (25, 20)

@@ -8,9 +8,9 @@ import pytest
 
 import cgemit as cg
 from cgemit import isa
-from cgemit.reconstruction.candidates import HIT_WIRE
 from cgemit.reconstruction.cluster import clusterer_of
 from cgemit.reconstruction.cluster_errors import COS_THETA, expected_errors
+from cgemit.tables.schema import HIT_WIRE
 from clusterers import expect
 
 Floats = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ from cgemit.detector.parts import PLACEMENT, Placed, local_v, seen_by
 from cgemit.fit_matter import tuned
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import cluster_errors
-from cgemit.reconstruction.find import truth
+from cgemit.truth import assign
 
 DESIGN = load("besiii-cgem-design")
 DISPLACED = {"shift_x": 0.3, "shift_y": -0.2, "shift_z": 0.4, "tilt_x": 1e-3, "tilt_y": -0.7e-3, "rotation": 2e-3}
@@ -369,8 +369,8 @@ def test_pulls_beside_dead_strips(readout):
     holes = DESIGN_MAPS.with_overrides(dead)
     result = run_maps(holes, readout, 800)
     clusters = result.clusters
-    own = truth.own_clusters(holes, clusters, result.truths)
-    residual = truth.residuals(holes, clusters, result.truths, own)
+    own = assign.own_clusters(holes, clusters, result.truths)
+    residual = assign.residuals(holes, clusters, result.truths, own)
     error = np.where(clusters["view"] == 0, clusters["err_x"], clusters["err_v"])[own]
     first, last = clusters["first"][own], clusters["last"][own]
     touched = (first + 3) % 9 >= 9 - (last - first + 2)

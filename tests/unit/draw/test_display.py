@@ -20,8 +20,8 @@ from cgemit.detector.parts import crossing_z, v_of_strips
 from cgemit.draw.display import TRACK_COLORS
 from cgemit.draw.event import helix_points, smooth_curve, strip_line, view_of, wire_positions
 from cgemit.draw.style import COLORS
-from cgemit.reconstruction.find.truth import residuals
 from cgemit.tables import Table
+from cgemit.truth.assign import residuals
 
 # Two particles a few degrees apart, so that X and V strips pair wrongly; and a slow one.
 PAIR: dict[str, Any] = {

@@ -6,8 +6,8 @@ import pytest
 from cgemit.chain import run
 from cgemit.detector import load
 from cgemit.particles.gun import Gun
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X
 from pages.robustness import fitted
 from pages.scenarios import (
     SCENARIOS,

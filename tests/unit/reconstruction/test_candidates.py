@@ -10,11 +10,12 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.chain.match import joined, match
 from cgemit.fit_matter import tuned
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV
+from cgemit.truth.match import joined, match
 
 DETECTOR = cg.load("besiii-cgem-design")
 GUN = cg.Gun("mu-", p=(0.3, 1.2), cos_theta=(-0.8, 0.8)) + cg.Gun("pi+", p=0.4, cos_theta=(-0.5, 0.5))

@@ -13,9 +13,9 @@ from cgemit.draw.cluster import crossing
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, error_table, reference_widths
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
-from cgemit.reconstruction.find.truth import own_clusters, residuals
 from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
+from cgemit.truth.assign import own_clusters, residuals
 from stats import assert_within
 
 PITCH = 0.65

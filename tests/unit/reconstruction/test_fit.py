@@ -17,17 +17,18 @@ import fuzz
 import tracks
 from cgemit import _core, helix, isa
 from cgemit.chain import run, settings
-from cgemit.chain.match import compare, joined, match
 from cgemit.detector import compiled, load
 from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun, generate
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, collect_hits
+from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import by_truth
-from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, FitStatus, core_arguments, fit
+from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, core_arguments, fit
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV, FitStatus
+from cgemit.truth.finder import by_truth
+from cgemit.truth.match import compare, joined, match
 from clusterers import expect
 from exact import assert_pulls_are_standard_normal, exact
 from pages.performance.stages import smeared

@@ -11,8 +11,9 @@ from cgemit import _core, helix
 from cgemit.detector import load, slab_table, slabs
 from cgemit.detector.core import layer_table, wire_table
 from cgemit.fit_matter import tuned
-from cgemit.reconstruction.fit import FitSettings, FitStatus
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.states import StateStatus
+from cgemit.tables.schema import FitStatus
 from fields import HARMONIC, small_map
 from oracles import LIGHT, helix_point, integrate
 from slabs import composition

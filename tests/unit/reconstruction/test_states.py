@@ -14,9 +14,10 @@ from cgemit.cli.main import main
 from cgemit.detector import load, slabs
 from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun
-from cgemit.reconstruction.fit import PARAMETERS, FitSettings, FitStatus
+from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from cgemit.reconstruction.states import StateStatus, Surface, extrapolate
 from cgemit.tables import Table
+from cgemit.tables.schema import FitStatus
 from exact import exact
 from fields import HARMONIC, harmonic_by_hand, small_map
 from oracles import LIGHT

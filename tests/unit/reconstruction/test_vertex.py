@@ -13,13 +13,14 @@ from scipy.stats import kstest
 import cgemit as cg
 from cgemit import helix
 from cgemit.analysis.vertices import with_truth
-from cgemit.chain.match import compare
 from cgemit.particles.gun import generate
 from cgemit.particles.species import species
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.fit import FitStatus, fit
+from cgemit.reconstruction.fit import fit
 from cgemit.reconstruction.vertex import begin_at_vertices
 from cgemit.tables import SCHEMAS
+from cgemit.tables.schema import FitStatus
+from cgemit.truth.match import compare
 from stats import assert_within, mean_error
 
 DETECTOR = cg.load("besiii-cgem-design")

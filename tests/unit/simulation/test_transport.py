@@ -21,10 +21,10 @@ from cgemit.detector import Detector, compiled, load, write_field_map
 from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun, generate
 from cgemit.particles.species import DECAYS, KNOWN, DecayMode, decay_table
-from cgemit.reconstruction.find import truth
 from cgemit.simulation.digitize import digitize
 from cgemit.simulation.transport import SimulateSettings, TransportStatus, simulate
 from cgemit.tables import Table
+from cgemit.truth import origins
 from fields import HARMONIC, harmonic_by_hand, small_map
 from oracles import LIGHT, integrate
 from tracks import MUON, hits_on, on_helix, particles, transport, without_matter
@@ -533,11 +533,11 @@ def test_decays_of_later_half_turns():
     out = simulate(DESIGN_TURNS, table, SimulateSettings(half_turns=8), 4)
     first = out["decays"][out["decays"]["daughter"] == 1]
     end = np.full(len(table), np.inf)
-    end[truth.particle_rows(table, first)] = first["time"]
+    end[origins.particle_rows(table, first)] = first["time"]
     np.testing.assert_array_equal(np.isfinite(end), out["particles"]["status"] == TransportStatus.decayed)
     late_decays = 0
     for kind in ("truths", "wire_truths"):
-        rows, whose = out[kind], truth.particle_rows(table, out[kind])
+        rows, whose = out[kind], origins.particle_rows(table, out[kind])
         own = rows["daughter"] == 0
         assert np.all(rows["time"][own] <= end[whose[own]])
         assert np.all(rows["time"][~own] >= end[whose[~own]])
@@ -801,7 +801,7 @@ def test_up_to_the_decay_nothing_changes(fluctuations, kernels):
     np.testing.assert_array_equal(on["particles"]["status"][~gone], off["particles"]["status"][~gone])
 
     def whose(table):
-        return truth.particle_rows(on["particles"], table)
+        return origins.particle_rows(on["particles"], table)
 
     def places(table):
         return (whose(table) * 100 + table["layer"]) * 1000 + table.columns.get("wire", 0)
@@ -830,7 +830,7 @@ def test_each_decay_is_told():
     out = simulated()
     first = out["decays"][out["decays"]["daughter"] == 1]
     assert not first["parent"].any()
-    rows = truth.particle_rows(out["particles"], first)
+    rows = origins.particle_rows(out["particles"], first)
     np.testing.assert_array_equal(rows, np.flatnonzero(out["particles"]["status"] == TransportStatus.decayed))
     for row, pdg, mode in zip(rows, first["pdg"], first["mode"], strict=True):
         assert DECAYS[int(out["particles"]["pdg"][row])][mode].charged[0].pdg == pdg

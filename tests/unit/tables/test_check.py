@@ -11,14 +11,15 @@ import pytest
 
 import cgemit as cg
 from cgemit.analysis.vertices import with_truth
-from cgemit.chain.match import joined
 from cgemit.detector.channels import channels_of
-from cgemit.reconstruction.find import by_truth, link_loops
+from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.vertex import begin_at_vertices
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.check import table_problems
 from cgemit.tables.schema import Column
 from cgemit.tables.table import stacked, targets
+from cgemit.truth.finder import by_truth
+from cgemit.truth.match import joined
 
 PIXEL = "besiii-pixel"
 Tables = dict[str, Table]

@@ -18,10 +18,10 @@ from cgemit.base.validate import Check, Positive
 from cgemit.detector import Detector, MeasurementLayer, WireLayer, load
 from cgemit.detector.channels import checked
 from cgemit.particles.species import Species, hypothesis_name, hypothesis_of, is_hypothesis
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.reconstruction.fit import FitSettings, compiled_matter
 from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 
 Method = Literal["combined", "segments", "chamber"]
 

@@ -12,7 +12,6 @@ from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import HEAD
 from cgemit.base.files import RECORD
 from cgemit.base.version import __version__
-from cgemit.chain.match import measuring
 from cgemit.chain.settings import Settings, finder_of, hits_text, mass_by
 from cgemit.reconstruction.candidates import finder_name
 from cgemit.simulation.transport import SimulateSettings
@@ -22,6 +21,7 @@ from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_
 from cgemit.study.samples import Sample
 from cgemit.tables import PARAMETERS
 from cgemit.tables.show import shown, with_error
+from cgemit.truth.match import measuring
 
 _TITLE = "Cluster reconstruction and track fit of the BESIII CGEM inner tracker"
 _PURE = ", which no finder without truth can do: the resolutions contain no wrong or missed hits"

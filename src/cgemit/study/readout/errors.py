@@ -22,8 +22,8 @@ from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import charge_clusterer
 from cgemit.reconstruction.cluster_errors import ErrorInputs, error_inputs
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer
-from cgemit.reconstruction.find import truth
 from cgemit.tables import Table
+from cgemit.truth import assign
 
 Ints = npt.NDArray[np.int64]
 Some = TypeVar("Some", bound=ChargeReadout)
@@ -53,10 +53,10 @@ def measurements(detector: Detector, clusters: Table, truths: Table, *, lorentz:
     lorentz : bool
         Whether electrons drift at the Lorentz angle, which then is part of the slope.
     """
-    own = truth.own_clusters(detector, clusters, truths)
+    own = assign.own_clusters(detector, clusters, truths)
     rows = clusters["truth"][own]
     view, layer = clusters["view"][own].astype(np.int64), clusters["layer"][own].astype(np.int64)
-    residual = truth.residuals(detector, clusters, truths, own)
+    residual = assign.residuals(detector, clusters, truths, own)
     error = np.where(view == 0, clusters["err_x"][own], clusters["err_v"][own])
     slope = crossing_slopes(detector, truths)[rows, view] - lorentz_slopes(detector, lorentz)[layer, view]
     size, first = (clusters[name][own].astype(np.int64) for name in ("size", "first"))
@@ -163,7 +163,7 @@ def true_directions(detector: Detector, clusters: Table, truths: Table) -> Float
     clusters, truths : Table
     """
     directions = np.full((len(clusters), 2), np.nan)
-    own = truth.own_clusters(detector, clusters, truths)
+    own = assign.own_clusters(detector, clusters, truths)
     rows = clusters["truth"][own]
     directions[own, 0] = crossing_slopes(detector, truths)[rows, clusters["view"][own].astype(np.int64)]
     directions[own, 1] = crossing_paths(truths)[rows]

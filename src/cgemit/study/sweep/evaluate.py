@@ -18,7 +18,6 @@ from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Listed, is_whole
 from cgemit.chain import run
-from cgemit.chain.match import measuring
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.covariance.analytic import covariance_at, entries_at
 from cgemit.covariance.result import Budget, Covariance, Entries, Widths, core_widths
@@ -27,9 +26,11 @@ from cgemit.detector import Detector
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
 from cgemit.particles.table import FASTEST
-from cgemit.reconstruction.fit import FitSettings, FitStatus
+from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study.samples import seed_of
+from cgemit.tables.schema import FitStatus
+from cgemit.truth.match import measuring
 
 #: Resolutions that are computed by default.
 SWEPT = tuple(name for name in ABSOLUTE if name in REPORTED)

@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <span>
 
-#include "detector/cluster_rows.hpp"
-#include "detector/strip_maps.hpp"
+#include "readout/cluster_rows.hpp"
+#include "readout/strip_maps.hpp"
 #include "reconstruction/cluster/digis.hpp"
 
 namespace cgemit {

@@ -3,7 +3,7 @@
 
 #include <span>
 
-#include "detector/cluster_rows.hpp"
+#include "readout/cluster_rows.hpp"
 #include "reconstruction/cluster/digis.hpp"
 
 namespace cgemit {

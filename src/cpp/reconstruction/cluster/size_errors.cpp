@@ -4,7 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "detector/cluster_errors.hpp"
+#include "readout/cluster_errors.hpp"
 
 namespace cgemit {
 namespace {

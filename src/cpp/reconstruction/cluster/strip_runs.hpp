@@ -8,8 +8,8 @@
 #include <type_traits>
 #include <vector>
 
-#include "detector/cluster_rows.hpp"
-#include "detector/strip_maps.hpp"
+#include "readout/cluster_rows.hpp"
+#include "readout/strip_maps.hpp"
 #include "reconstruction/cluster/digis.hpp"
 
 namespace cgemit {

@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "detector/cluster_errors.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/tracer.hpp"
+#include "readout/cluster_errors.hpp"
 #include "reconstruction/find/find.hpp"
 #include "reconstruction/find/nearby.hpp"
 

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <tuple>
 
-#include "detector/cluster_rows.hpp"
+#include "readout/cluster_rows.hpp"
 
 namespace cgemit {
 

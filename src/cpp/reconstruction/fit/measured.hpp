@@ -2,8 +2,8 @@
 #pragma once
 
 #include "common/compiler.hpp"
-#include "detector/cluster_errors.hpp"
 #include "kalman/group.hpp"
+#include "readout/cluster_errors.hpp"
 #include "reconstruction/fit/fit.hpp"
 
 namespace cgemit {

@@ -4,9 +4,9 @@
 #include <cmath>
 #include <tuple>
 
-#include "detector/strip_maps.hpp"
 #include "detector/strip_plane.hpp"
 #include "matter/draws.hpp"
+#include "readout/strip_maps.hpp"
 
 namespace cgemit {
 namespace {

@@ -7,9 +7,9 @@
 
 #include "common/interrupt.hpp"
 #include "detector/detector.hpp"
-#include "detector/strip_maps.hpp"
+#include "readout/chips.hpp"
+#include "readout/strip_maps.hpp"
 #include "simulation/digitize/avalanche.hpp"
-#include "simulation/digitize/chips.hpp"
 #include "simulation/digitize/digis.hpp"
 #include "simulation/digitize/strip_signals.hpp"
 #include "simulation/digitize/truths.hpp"

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "detector/strip_maps.hpp"
+#include "readout/strip_maps.hpp"
 #include "simulation/digitize/digis.hpp"
 #include "simulation/digitize/strips.hpp"
 

@@ -13,35 +13,14 @@
 #include "common/lanes/pack.hpp"
 #include "common/problems.hpp"
 #include "detector/detector.hpp"
+#include "readout/chips.hpp"
+#include "readout/induced_charge.hpp"
 
 namespace cgemit {
 
-// Step of the time grid, ns: small against the 50 ns of shaper and induction gap.
-inline constexpr double time_step = 4.0;
 // Steps of an event: 0.4 ms, hundreds of lives of a muon. Each strip with a current has the whole grid, and a
 // chip filters from the begin or from time 0.
 inline constexpr double longest_grid = 1e5;
-
-// Charge that an avalanche of charge 1 induces on the strips around it (`cgemit.detector.induction`). Between
-// the nodes of its way through the induction gap the current is constant.
-struct InducedCharge {
-  static constexpr std::size_t nodes = 5;
-  std::array<double, nodes> way;      // share of the induction gap behind it at each node, from 0 to 1
-  std::size_t phases = 0, reach = 0;  // places within a strip, without the last edge; strips on either side
-  // Of X, then of V of all layers: (phases + 1, nodes, 2 reach + 1), by place and strip.
-  std::span<const double> charge;
-
-  std::size_t strips() const { return 2 * reach + 1; }
-  std::size_t plane_size() const { return (phases + 1) * nodes * strips(); }
-};
-
-// The steps of one strip's current, fC/ns, at the times of the grid.
-struct CurrentSteps {
-  const double* first;
-  std::size_t n, apart = 1;
-  double operator[](std::size_t i) const { return first[i * apart]; }
-  std::size_t size() const { return n; }
-};
 
 // Strips in blocks, side by side in the lanes of T. Histograms hold the steps of the current, fC/ns, at the
 // times of the grid.

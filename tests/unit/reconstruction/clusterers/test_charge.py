@@ -14,7 +14,6 @@ from cgemit.detector.parts import v_of_strips
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.cluster_errors import error_inputs, errors_of
-from cgemit.reconstruction.find import truth
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.refine import track_directions
 from cgemit.study.readout.errors import (
@@ -23,6 +22,7 @@ from cgemit.study.readout.errors import (
     measurements,
     true_directions,
 )
+from cgemit.truth import assign
 from charge_clusters import delay_at, expected_cluster, plane_of, share_at
 
 DESIGN = cg.load("besiii-cgem-design")
@@ -301,7 +301,7 @@ def test_directions_of_tracks():
     for detector in (DESIGN, DESIGN.with_field("besiii")):
         result = cg.run(detector, gun, 200, 3, settings=settings)
         slopes, paths = track_directions(DESIGN, len(result.clusters), result.states).T
-        own = truth.own_clusters(DESIGN, result.clusters, result.truths)
+        own = assign.own_clusters(DESIGN, result.clusters, result.truths)
         own = own[np.isfinite(slopes[own])]
         true = crossing_slopes(DESIGN, result.truths)[result.clusters["truth"][own], result.clusters["view"][own]]
         assert len(own) > 1000
@@ -326,10 +326,10 @@ def test_second_pass_improves_positions(estimator, clusters, tracks):
     first, second = runs[0].clusters, runs[1].fitted_hits[0]
     for name in ("event", "first", "last", "charge", "x_cluster", "v_cluster"):
         assert np.array_equal(first[name], second[name])
-    own = truth.own_clusters(DESIGN, first, runs[0].truths)
+    own = assign.own_clusters(DESIGN, first, runs[0].truths)
     spread = []
     for table in (first, second):
-        residual = np.abs(truth.residuals(DESIGN, table, runs[0].truths, own))
+        residual = np.abs(assign.residuals(DESIGN, table, runs[0].truths, own))
         spread.append([np.quantile(residual[table["view"][own] == view], 0.6) for view in (0, 1)])
     assert (np.array(spread[1]) < clusters * np.array(spread[0])).all()
     pull = residual / np.where(second["view"] == 0, second["err_x"], second["err_v"])[own]
@@ -542,13 +542,13 @@ def test_own_part_of_a_divided_cluster():
     result = cg.run(LAYERS, gun, 300, 5, readout=TIGER, until="cluster")
     clusters, truths = result.clusters, result.truths
     rows = np.flatnonzero((clusters["view"] < 2) & (clusters["truth"] >= 0))
-    apart = np.abs(truth.residuals(LAYERS, clusters, truths, rows))
+    apart = np.abs(assign.residuals(LAYERS, clusters, truths, rows))
     pitch = np.array([(layer.pitch_x, layer.pitch_v) for layer in LAYERS.cgem])
     outside = apart - 0.5 * clusters["size"][rows] * pitch[clusters["layer"][rows], clusters["view"][rows]]
     least = np.full(2 * len(truths), np.inf)
     place = 2 * clusters["truth"][rows] + clusters["view"][rows]
     np.minimum.at(least, place, np.maximum(outside, 0))
-    own = np.isin(rows, truth.own_clusters(LAYERS, clusters, truths))
+    own = np.isin(rows, assign.own_clusters(LAYERS, clusters, truths))
     assert np.count_nonzero(~own) > 100
     np.testing.assert_allclose(np.maximum(outside, 0)[own], least[place[own]], atol=1e-5)
 

@@ -8,13 +8,13 @@ import pytest
 
 import cgemit as cg
 from cgemit.particles.gun import Guns
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, HIT_XV
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find.ckf import SearchLimits, seedless
-from cgemit.reconstruction.find.truth import own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import BackgroundSettings
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV
+from cgemit.truth.assign import own_clusters
 from tracks import on_helix
 
 QUIET = cg.Settings(simulate=cg.SimulateSettings(decays=False, fluctuations="gaussian"))

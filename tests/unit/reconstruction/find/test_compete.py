@@ -11,7 +11,7 @@ import pytest
 import cgemit as cg
 from cgemit import _core
 from cgemit._core import _testing
-from cgemit.reconstruction.candidates import HIT_WIRE
+from cgemit.tables.schema import HIT_WIRE
 
 MIN_SCORE = 2.0
 

@@ -23,12 +23,12 @@ import cgemit as cg
 from cgemit.analysis.widths import jackknife, without_groups
 from cgemit.base.files import CONTENTS, OutputExistsError
 from cgemit.detector import Detector
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
 from cgemit.study.samples import seed_of
 from cgemit.study.sweep.evaluate import budgets
 from cgemit.study.sweep.run import Task, rows_of_text, work
 from cgemit.study.sweep.space import PlanError, key_problems, value_problems
+from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import with_error
 from kill_sweeps import FILES, SPACE, killed_until_complete, swept, written
 

@@ -14,11 +14,11 @@ from cgemit.base.arrays import Flags, Floats
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.detector.parts import pitches
-from cgemit.reconstruction.candidates import HIT_WIRE, HIT_XV, XV_CLUSTER
-from cgemit.reconstruction.find.truth import link_problems, particle_rows, residuals
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.tables import Table
+from cgemit.tables.schema import HIT_WIRE, HIT_XV, XV_CLUSTER, FitStatus, is_fitted
 from cgemit.tables.table import kind_problems
+from cgemit.truth.assign import residuals
+from cgemit.truth.origins import particle_rows
 
 Rows = npt.NDArray[np.int64]
 Statuses = npt.NDArray[np.int8]
@@ -330,16 +330,6 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
     return columns
 
 
-def is_fitted(tracks: Any) -> Flags:
-    """Return which tracks were fitted, with a measured momentum or without (`unconstrained`), (tracks,) bool.
-
-    Parameters
-    ----------
-    tracks : Table, or columns by name
-    """
-    return np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
-
-
 def is_matched(tracks: Any) -> Flags:
     """Return which tracks measure their particle (`MatchStatus`), (tracks,) bool.
 
@@ -392,6 +382,30 @@ def joined(tracks: Table, matches: Table) -> Table:
     tracks, matches : Table
     """
     return tracks.with_columns(**{name: matches[name] for name in matches if name not in ("event", "track")})
+
+
+def link_problems(table: Table, link: str, target: Table) -> list[str]:
+    """Return whether links of a table lead to missing rows or to rows of another event.
+
+    Parameters
+    ----------
+    table : Table
+    link : str
+        Column of `table` that counts rows of `target`.
+    target : Table
+
+    Returns
+    -------
+    list of str
+    """
+    rows, event = table[link], table["event"]
+    first = _core.strange_link(rows, event, target["event"])
+    if first < 0:
+        return []
+    if rows.max() >= len(target):
+        return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
+    given = f"{table.kind} row {first}, of event {event[first]}, links to one of event {target['event'][rows[first]]}"
+    return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
 
 
 def _row_problems(

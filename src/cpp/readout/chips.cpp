@@ -1,4 +1,4 @@
-#include "simulation/digitize/chips.hpp"
+#include "readout/chips.hpp"
 
 #include <algorithm>
 #include <array>

@@ -8,8 +8,8 @@ import pytest
 
 import bes3_layout
 import cgemit as cg
-from cgemit.analysis import bes3_wires
-from cgemit.analysis.bes3 import events_of
+from cgemit.bes3 import wires as bes3_wires
+from cgemit.bes3.events import events_of
 from cgemit.detector.drift import BESIII
 
 

@@ -1,4 +1,4 @@
-#include "simulation/truth/owners.hpp"
+#include "truth/owners.hpp"
 
 #include <algorithm>
 #include <array>
@@ -6,7 +6,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "detector/cluster_rows.hpp"
+#include "readout/cluster_rows.hpp"
 
 namespace cgemit {
 namespace {

@@ -6,7 +6,8 @@
 #include <span>
 #include <vector>
 
-#include "simulation/digitize/chips.hpp"
+#include "readout/chips.hpp"
+#include "readout/induced_charge.hpp"
 
 namespace cgemit {
 

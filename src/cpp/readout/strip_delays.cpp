@@ -1,4 +1,4 @@
-#include "simulation/digitize/strip_delays.hpp"
+#include "readout/strip_delays.hpp"
 
 #include <algorithm>
 #include <cmath>

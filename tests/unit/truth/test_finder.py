@@ -5,12 +5,14 @@ import pytest
 
 import gem_toy
 from cgemit.detector import load
-from cgemit.reconstruction.candidates import HIT_V, HIT_WIRE, HIT_X, collect_hits
+from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find import by_truth, own_clusters
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.digitize import digitize
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X
+from cgemit.truth.assign import own_clusters
+from cgemit.truth.finder import by_truth
 
 EVENTS = 30
 DETECTOR = load("besiii-cgem-design")

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.bes3 import Bes3Events
 from cgemit.base.arrays import Floats
-from cgemit.chain.match import match
+from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector
 from cgemit.detector.drift import BESIII, propagation_time
-from cgemit.reconstruction.candidates import HIT_WIRE, label_candidates
+from cgemit.reconstruction.candidates import label_candidates
 from cgemit.reconstruction.find.ckf import find_tracks
-from cgemit.reconstruction.fit import FitStatus
 from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import DriftTimes
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.schema import HIT_WIRE, FitStatus
+from cgemit.truth.match import match
 from cgemit.units import LIGHT
 
 Ints = npt.NDArray[np.int64]

@@ -2,13 +2,25 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
+#include <cstdint>
 #include <optional>
 
 #include "common/rng.hpp"
-#include "simulation/digitize/shaper.hpp"
-#include "simulation/digitize/strip_signals.hpp"
+#include "readout/shaper.hpp"
 
 namespace cgemit {
+
+// Step of the time grid, ns: small against the 50 ns of shaper and induction gap.
+inline constexpr double time_step = 4.0;
+
+// The steps of one strip's current, fC/ns, at the times of the grid.
+struct CurrentSteps {
+  const double* first;
+  std::size_t n, apart = 1;
+  double operator[](std::size_t i) const { return first[i * apart]; }
+  std::size_t size() const { return n; }
+};
 
 enum class ChipKind { tiger, apv25 };
 

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.analysis.bes3 import Bes3Events
 from cgemit.analysis.quantities import QUANTITIES
+from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector, compiled
-from cgemit.reconstruction.fit import FitSettings, FitStatus, fit
+from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.tables import Table
-from cgemit.tables.schema import PARAMETERS
+from cgemit.tables.schema import PARAMETERS, FitStatus
 
 Column = npt.NDArray[Any]
 Columns = dict[str, Column]

@@ -18,10 +18,11 @@ from cgemit.detector import Detector, load
 from cgemit.helix import wrap_angle
 from cgemit.particles.species import KNOWN
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.candidates import HIT_WIRE, HIT_X, XV_CLUSTER, label_candidates
-from cgemit.reconstruction.fit import FitStatus, displaced
+from cgemit.reconstruction.candidates import label_candidates
+from cgemit.reconstruction.fit import displaced
 from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.tables import SCHEMAS, Table
+from cgemit.tables.schema import HIT_WIRE, HIT_X, XV_CLUSTER, FitStatus
 
 _FLAGS, _STRIPS = 2, 4  # numbers in m_clusterflag and m_stripid
 
@@ -382,7 +383,7 @@ class Bes3Events:
     wire_digis : dict of str to ndarray, each (digis,)
         All fired cells: `event`, `layer`, `wire`, `tdc` (ns, NaN without a valid time), `overflow` (bits of the
         software), `particle` (number of the generated one, -1 none) and `track` (-1 none).
-        `cgemit.analysis.bes3_wires` makes wire hits of them.
+        `cgemit.bes3.wires` makes wire hits of them.
     """
 
     detector: Detector
@@ -453,7 +454,7 @@ def events_of(
     Parameters
     ----------
     arrays : mapping of str to awkward.Array
-        By the names of `cgemit.analysis.bes3.COLLECTIONS`, such as ``"hits"`` for m_recMdcHitCol.
+        By the names of `cgemit.bes3.events.COLLECTIONS`, such as ``"hits"`` for m_recMdcHitCol.
     detector, errors, every_cluster
         As for `read_events`.
     """
@@ -470,7 +471,7 @@ def tables_of(
     errors: tuple[float, float],
     every_cluster: bool,
 ) -> Bes3Events:
-    """Return the tables of the columns that `cgemit.analysis.bes3` reads; arguments as for `read_events`."""
+    """Return the tables of the columns that `cgemit.bes3.events` reads; arguments as for `read_events`."""
     detector = load(detector)
     _check(found, detector, errors)
     clusters = _cluster_columns(detector, found.get("clusters"), errors)

@@ -7,9 +7,9 @@ import pytest
 import bes3_layout
 import cgemit as cg
 from cgemit import helix
-from cgemit.analysis import bes3
-from cgemit.analysis.bes3 import CLUSTER_ERRORS, columns_of_events, events_of, read_events
-from cgemit.analysis.refit import refit
+from cgemit.bes3 import events as bes3_events
+from cgemit.bes3.events import CLUSTER_ERRORS, columns_of_events, events_of, read_events
+from cgemit.bes3.refit import refit
 from cgemit.reconstruction.fit import fit
 
 BZ = -1.0
@@ -129,27 +129,27 @@ def test_records_of_clusters_are_shifted_back():
         "m_recZ": np.array([[2, -1], [2, -1], [2, 0]], ">i4").view(">f8")[:, 0],
         "m_clusterflag": np.array([[-1, 4], [-1, 4], [1, 4]]),
     }  # fmt: skip
-    back = bes3.clusters(given)
+    back = bes3_events.clusters(given)
     assert "m_recpositiony" not in back
     assert back["m_recv"].tolist() == [-99.0, 423.58, 423.58]
     assert back["m_recZ"].tolist() == [-99.0, -99.0, 134.04]
     assert back["m_clusterflag"].tolist() == [[-1, -1], [-1, -1], [0, 1]]
     right = {**given, "m_recZ": np.array([-99.0, -99.0, 134.04]), "m_clusterflag": back["m_clusterflag"]}
-    assert bes3.clusters(right) is right  # a record that has the field, and one without
+    assert bes3_events.clusters(right) is right  # a record that has the field, and one without
     for name, number in (("m_recZ", np.array([[2, -1], [3, -1], [2, 0]], ">i4").view(">f8")[:, 0]),
                          ("m_clusterflag", np.array([[-1, 4], [-1, 3], [1, 4]]))):  # fmt: skip
         other = given | {name: number}
-        assert bes3.clusters(other) is other  # one of the two lengths is another number
+        assert bes3_events.clusters(other) is other  # one of the two lengths is another number
     short = {name: one for name, one in right.items() if name != "m_recpositiony"}
-    assert bes3.clusters(short) is short
+    assert bes3_events.clusters(short) is short
 
 
 def test_covariances_of_the_first_fit_are_put_in_order(run):
     cov = run.tracks["cov"]
     mixed = bes3_layout.as_pybes3_fills(cov)
     assert np.linalg.eigvalsh(mixed).min() < 0
-    np.testing.assert_array_equal(bes3.upper_triangles(mixed), cov)
-    np.testing.assert_array_equal(bes3.upper_triangles(cov), cov)  # once pybes3 does it right
+    np.testing.assert_array_equal(bes3_events.upper_triangles(mixed), cov)
+    np.testing.assert_array_equal(bes3_events.upper_triangles(cov), cov)  # once pybes3 does it right
 
 
 @pytest.mark.parametrize("charge", [-1, 1])

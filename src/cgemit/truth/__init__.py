@@ -1,0 +1,1 @@
+"""Links of hits and tracks to the particles that left them."""
