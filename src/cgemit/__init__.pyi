@@ -45,6 +45,9 @@ from .reconstruction.refine import refinements as refinements
 from .reconstruction.states import StateStatus as StateStatus
 from .reconstruction.states import Surface as Surface
 from .reconstruction.states import extrapolate as extrapolate
+from .reconstruction.strip_times import StripTimeStatus as StripTimeStatus
+from .reconstruction.strip_times import from_start as from_start
+from .reconstruction.strip_times import strip_times as strip_times
 from .reconstruction.vertex import BeamSpot as BeamSpot
 from .reconstruction.vertex import VertexStatus as VertexStatus
 from .reconstruction.vertex import fit_vertices as fit_vertices

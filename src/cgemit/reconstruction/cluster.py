@@ -20,6 +20,7 @@ from cgemit.detector.readouts import (
     names_of,
     part_of,
 )
+from cgemit.reconstruction.candidates import XV_CLUSTER
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
@@ -94,6 +95,24 @@ def warn_of_losses(detector: Detector) -> None:
         )
 
 
+#: Strips that a warning of wrong times needs, and the share of them that is in no cluster.
+_LEAST_STRIPS, _MOST_OUTSIDE = 20, 0.9
+
+
+def _warn_of_times(group: ReadoutGroup, digis: Table, clusters: Table) -> None:
+    """Warn if nearly all strips are in no cluster, since their times are not those of the drift gap."""
+    inside = int(clusters["size"][clusters["view"] != XV_CLUSTER].sum())
+    outside = len(digis) - inside
+    if len(digis) < _LEAST_STRIPS or outside <= _MOST_OUTSIDE * len(digis):
+        return
+    low, high = float(digis["time"].min()), float(digis["time"].max())
+    warnings.warn(
+        f"cluster: {outside} of {len(digis)} strips are in no cluster: their times are {low:.0f} to {high:.0f} ns, "
+        f"and readout {group.readout.name} counts from the start of the event; strip_times finds it",
+        stacklevel=5,
+    )
+
+
 @checked("digis", ignore=("gid",))
 def cluster(
     detector: Detector | str | Mapping[str, Any],
@@ -145,6 +164,8 @@ def cluster(
 
     def of_group(group: ReadoutGroup, digis: Table, directions: Floats | None) -> Table:
         found = clusterer_of(group.readout).cluster(group, digis, settings, directions)
+        if isinstance(group.readout, AnalogReadout):
+            _warn_of_times(group, digis, found)
         return made_by(f"readout {group.readout.name}", "clusters", found, digis)
 
     groups = detector.groups

@@ -191,6 +191,15 @@ START_TIMES = (
     column_of("i1", "status", "", "how the fit ended (StartTimeStatus; 0 is good)"),
 )
 
+STRIP_TIMES = (
+    EVENT,
+    real("strip_time", "ns", "start of the event in the times of its strips; NaN where unknown"),
+    real("err_strip_time", "ns", "its standard deviation; NaN where unknown"),
+    whole("n_strips", "strips with a fired neighbour, which tell it"),
+    whole("n_outside", "strips whose times are outside of the drift time after it; all of them where it is unknown"),
+    column_of("i1", "status", "", "how the search ended (StripTimeStatus; 0 is good)"),
+)
+
 STATES = (
     EVENT,
     link("track", "the track", "tracks"),
@@ -420,6 +429,7 @@ _KINDS = (
     ("residuals", RESIDUALS, "one hit of a fitted track"),
     ("states", STATES, "one track at one surface"),
     ("start_times", START_TIMES, "one event and its start time, fitted from its tracks"),
+    ("strip_times", STRIP_TIMES, "one event and when it began in the times of its strips"),
     ("vertices", VERTICES, "one pair of tracks and their vertex"),
 )
 
@@ -444,10 +454,12 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **dict.fromkeys(("other_chi2", "other_distance"), (0.0, np.inf)),
         "matches.match": (0, 5),
         **{f"{table}.charge": (1, 127) for table in ("candidates", "tracks", "states")},
-        **dict.fromkeys(("truths.energy", "steps.energy", "err_start_time", "err_mass"), (0.0, np.inf)),
+        **dict.fromkeys(("truths.energy", "steps.energy", "err_mass"), (0.0, np.inf)),
+        **dict.fromkeys(("err_start_time", "err_strip_time"), (0.0, np.inf)),
         **{f"err_{name}": (0.0, np.inf) for name in (*PARAMETERS, "x", "y", "z", "v", "phi")},
         **dict.fromkeys(("sheet", "size", "secondaries", "daughter", "parent", "mode"), (0, _ENDLESS)),
         **dict.fromkeys(("n_clusters", "n_wires", "n_outliers", "n_tracks", "iterations"), (0, _ENDLESS)),
+        **dict.fromkeys(("n_strips", "n_outside"), (0, _ENDLESS)),
         **dict.fromkeys(("layer", "wire", "seeds", "limits", "delta", "n_electrons", "hypothesis"), (0, _ENDLESS)),
         **dict.fromkeys(("particle", "candidates.candidate", "candidates.pdg", "first_pdg"), (0, _ENDLESS)),
         **dict.fromkeys(("strip", "gid", "n_truths", "matches.particle", "states.layer", "half_turn"), (-1, _ENDLESS)),
@@ -472,7 +484,8 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 #: Columns that are NaN where there is no number, whatever the status of the row.
 _MAY_BE_NAN = frozenset(
-    {"digis.position", "drift_time", "err_start_time", "states.residual", "states.err", "states.pull"}
+    {"digis.position", "drift_time", "states.residual", "states.err", "states.pull"}
+    | {"err_start_time", "strip_time", "err_strip_time"}
     | {"vertices.other_chi2", "vertices.other_distance"}
     | {f"vertices.{name}" for name in ("px", "py", "pz", "mass", "err_mass")}
     | {f"{table}.{one.name}" for table in ("clusters", "refined_clusters") for one in _CLUSTERS if "NaN" in one.doc}
@@ -484,7 +497,7 @@ _MAY_BE_NAN = frozenset(
 FITTED: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
         "tracks": (int(FitStatus.ok), int(FitStatus.unconstrained)),
-        **dict.fromkeys(("states", "vertices", "start_times"), (0,)),
+        **dict.fromkeys(("states", "vertices", "start_times", "strip_times"), (0,)),
     }
 )
 
