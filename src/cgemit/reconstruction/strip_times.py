@@ -162,6 +162,14 @@ def from_start(digis: Table, times: Table) -> Table:
     ------
     ValueError
         If the tables are of other events.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=5, readout="tiger", until="digitize")
+    >>> late = r.digis.with_columns(time=r.digis["time"] + 300.0)  # ns
+    >>> again = cg.from_start(late, cg.strip_times(r.detector, late))
+    >>> bool(np.abs(again["time"] - r.digis["time"]).max() < 60)
+    True
     """
     if not np.array_equal(digis.events, times["event"]):
         raise ValueError("from_start: times: got those of other events, expected a row for each event of the digis")
