@@ -369,7 +369,7 @@ def _optima(result: Result, some: int, *, pulls: bool = False) -> list[tuple[Flo
     hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     columns = ("kind", "layer", "channel", "sigma")
-    cut = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
+    cut = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
     found = []
     for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])

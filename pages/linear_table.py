@@ -46,7 +46,7 @@ GAUSSIAN: dict[str, Any] = {
     "readout": READOUT,
     "settings": cg.Settings(simulate=SimulateSettings(fluctuations="gaussian", decays=False), digitize=SIDES),
 }
-CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
+CUT = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
 _PIPE = 0.00982
 _SIGMA = {X: 0.1387, V: 0.1327, WIRE: 0.13}
 _MUON = 0.1056583755

@@ -116,7 +116,10 @@ def design_muons(known: bool) -> dict[str, Any]:
 def measure_fits(_share: float) -> Numbers:
     """Measure one fit for each instruction set."""
     known, unknown = design_muons(True), design_muons(False)
-    calls = {"known_us": lambda: _core.fit(**known), "unknown_us": lambda: _core.fit(**unknown)}
+    calls = {
+        "known_us": lambda: _core.reconstruction.fit(**known),
+        "unknown_us": lambda: _core.reconstruction.fit(**unknown),
+    }
     rows = []
     for code in isa.available():
         with instruction_set(code):
@@ -136,7 +139,7 @@ def measure_covariances(_share: float) -> Numbers:
         "alone": lambda: alone.run(budget=False),
         "point": lambda: tracks.run(budget=True),
         "gradient": lambda: tracks.run(budget=False, variants=variants),
-        "fit": lambda: _core.fit(**fitted),
+        "fit": lambda: _core.reconstruction.fit(**fitted),
     }
     rows = []
     for code in isa.available():
@@ -166,7 +169,7 @@ def measure_fields(_share: float) -> Numbers:
     for field in FIELDS:
         result = cg.run(cg.load(DETECTOR).with_field(field), GUN, FIELD_EVENTS, SEED)
         taken = arguments(result, hits_of(result), ALL_HITS)
-        calls[field] = lambda taken=taken: _core.fit(**taken)
+        calls[field] = lambda taken=taken: _core.reconstruction.fit(**taken)
     rows = []
     for code in isa.available():
         with instruction_set(code):

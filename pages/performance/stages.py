@@ -183,7 +183,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
         start = smeared(helix.at_origin_in(particles, compiled(detector).field), particles, SEED)
         hits = collect_hits(detector, *chosen, clusters, wire_hits[sides])
         arguments = fit_arguments(detector, hits, particles["mass"], start, settings)
-        return lambda: _core.fit(**arguments)
+        return lambda: _core.reconstruction.fit(**arguments)
 
     transport = simulate_arguments(detector, particles, SimulateSettings(), SEED)
     return {
@@ -193,7 +193,7 @@ def stage_calls(detector: Detector, gun: Gun, events: int, first_event: int = 0)
         "find": candidates,
         "fit": whole(shown),
         "fit_lr": whole(hidden),
-        "simulate_kernel": lambda: _core.simulate(**transport),
+        "simulate_kernel": lambda: _core.simulation.simulate(**transport),
         "fit_kernel": kernel(shown, TWO_ITERATIONS),
         "fit_lr_kernel": kernel(hidden, ALL_HITS),
     }
@@ -215,8 +215,8 @@ def smeared(truth: Floats, particles: Table, seed: int, sigma: Sequence[float] =
     -------
     ndarray, (n, 5) float64
     """
-    purpose = _core.Purpose.fit_seed
-    draws = [_core.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
+    purpose = _core.common.Purpose.fit_seed
+    draws = [_core.common.normals(seed, particles["event"], particles["particle"], purpose, place) for place in (0, 1)]
     scale = np.array(sigma) * np.where(np.arange(5) == 2, np.abs(truth[:, 2:3]), 1.0)
     return truth + scale * np.concatenate(draws, axis=1)[:, :5]
 

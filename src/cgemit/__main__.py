@@ -46,7 +46,7 @@ def _handle(how: object) -> None:
 def _interrupt(number: int, frame: FrameType | None) -> None:
     """End the command: raise KeyboardInterrupt here and in the stages at work on all threads."""
     _handle(_leave)
-    core = sys.modules.get("cgemit._core")
+    core = sys.modules.get("cgemit._core.common")
     if hasattr(core, "stop_stages"):  # else it is being imported
         core.stop_stages(True)  # type: ignore[union-attr]
     raise KeyboardInterrupt

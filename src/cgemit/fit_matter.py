@@ -16,7 +16,9 @@ from cgemit.detector.keys import once
 from cgemit.detector.parts import CgemLayer, Layer, pitches
 from cgemit.particles.species import species
 
-MOST_MOMENTUM_ERROR = _core.USUAL_MOMENTUM_ERROR  #: Largest relative error of momenta that straggling is counted for.
+MOST_MOMENTUM_ERROR = (
+    _core.matter.USUAL_MOMENTUM_ERROR
+)  #: Largest relative error of momenta that straggling is counted for.
 _MUON = species("mu-").mass
 _MOMENTUM = 1.0  # GeV/c, of that muon
 _KAPPA = 2  # its number among the parameters
@@ -31,7 +33,7 @@ def tuned(
     merge: bool = True,
     matter: bool = True,
     momentum_error: float | None = None,
-) -> _core.Detector:
+) -> _core.detector.Detector:
     """Return the compiled detector with the matter that the fit assumes, without what only the simulation reads.
 
     Parameters
@@ -70,7 +72,7 @@ def tuned(
 class _Tuned(NamedTuple):
     """A compiled detector, and the relative errors of momenta that its loss is for, see `_momentum_errors`."""
 
-    core: _core.Detector
+    core: _core.detector.Detector
     heavy: float
     light: tuple[float, float]
 
@@ -79,7 +81,7 @@ def _tuned(
     detector: Detector, screening: str, loss: str, radiation: bool, merge: bool, matter: bool,
     momentum_error: float | None,
 ) -> _Tuned:  # fmt: skip
-    core, choice = compiled(detector, merge, screening, gaps=False, matter=matter), getattr(_core.CoreLoss, loss)
+    core, choice = compiled(detector, merge, screening, gaps=False, matter=matter), getattr(_core.matter.CoreLoss, loss)
     heavy = MOST_MOMENTUM_ERROR if momentum_error is None else momentum_error
     light = 0.0, heavy
     if matter:
@@ -95,15 +97,17 @@ def _tuned(
     return _Tuned(core, heavy, light)
 
 
-def _assumed(core: _core.Detector) -> _core.Detector:
+def _assumed(core: _core.detector.Detector) -> _core.detector.Detector:
     """Return the detector in which the muon is fitted: all matter acts alike, the error counts no straggling."""
-    return core.untuned().with_loss(loss=_core.CoreLoss.truncated, radiation=True, momentum_error=0.0)
+    return core.untuned().with_loss(loss=_core.matter.CoreLoss.truncated, radiation=True, momentum_error=0.0)
 
 
 _kept = once(_tuned)
 
 
-def with_hits_of(kept: _core.Detector, core: _core.Detector, layers: Sequence[Layer]) -> _core.Detector:
+def with_hits_of(
+    kept: _core.detector.Detector, core: _core.detector.Detector, layers: Sequence[Layer]
+) -> _core.detector.Detector:
     """Return a variant of a detector in which the same hits tell the matter that acts with each slab.
 
     It then changes in no steps where the muon crosses another cell. With slabs or wires in another order the variant is
@@ -111,12 +115,12 @@ def with_hits_of(kept: _core.Detector, core: _core.Detector, layers: Sequence[La
 
     Parameters
     ----------
-    kept, core : _core.Detector
+    kept, core : _core.detector.Detector
         The detector and the variant, both tuned.
     layers : sequence of Layer
         Of the variant.
     """
-    if not _core.same_surfaces(kept, core):
+    if not _core.covariance.same_surfaces(kept, core):
         return core
     assumed = _assumed(core)
     terms = _muon_terms(assumed, layers, kept)
@@ -156,11 +160,11 @@ def unseen_cut(
     measured, scattered = found.light
     path = math.hypot(1.0, tanl)
     error = math.hypot(measured * p / path, scattered * math.sqrt(path))
-    xi = _core.total_matter(found.core, tanl)[1]
-    return _core.CORE_CUT_XI * xi / p + _core.CORE_CUT_SHARE / MOST_MOMENTUM_ERROR * error
+    xi = _core.matter.total_matter(found.core, tanl)[1]
+    return _core.matter.CORE_CUT_XI * xi / p + _core.matter.CORE_CUT_SHARE / MOST_MOMENTUM_ERROR * error
 
 
-def _with_shared_matter(core: _core.Detector, terms: Floats) -> _core.Detector:
+def _with_shared_matter(core: _core.detector.Detector, terms: Floats) -> _core.detector.Detector:
     """Return a detector in which every slab knows which matter acts with it, and how much of its loss is unseen."""
     first = _first_slab(terms, core.n_slabs)
     core = core.with_shared_scattering(parts=terms[first:-1:2], variances=terms.sum(axis=0))
@@ -189,7 +193,9 @@ def _first_slab(terms: Floats, n_slabs: int) -> int:
     return len(terms) - 1 - 2 * n_slabs
 
 
-def _muon_terms(core: _core.Detector, layers: Sequence[Layer], hits_of: _core.Detector | None = None) -> Floats | None:
+def _muon_terms(
+    core: _core.detector.Detector, layers: Sequence[Layer], hits_of: _core.detector.Detector | None = None
+) -> Floats | None:
     """Return the budget of a muon across the beam, (terms, 5 parameters); None where it cannot be fitted."""
     variants = {"variants": [core]} if hits_of else {}
     found = _muon_across(hits_of or core, layers, budget=True, **variants)
@@ -197,12 +203,12 @@ def _muon_terms(core: _core.Detector, layers: Sequence[Layer], hits_of: _core.De
     return None if found is None else np.ascontiguousarray(found["budget"][0, :, :5])
 
 
-def _muon_across(core: _core.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
+def _muon_across(core: _core.detector.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
     """Return the expected covariance of a muon of 1 GeV/c across the beam, None where it cannot be fitted."""
     one, none = np.ones(1), np.zeros(1)
     # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs. Tuned detectors are
     # kept: with the scalar kernels they are the same whichever instruction set was in use when they were made.
-    found = _core.covariances(
+    found = _core.covariance.covariances(
         core, phi=0.1 * one, kappa=-one / _MOMENTUM, tanl=none, mass=_MUON * one, scatters=none, samples=1, scalar=True,
         phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
         model={

@@ -71,14 +71,14 @@ def _at_origin(particles: Table, bz: float) -> Floats:
     return np.stack([dr, phi0, kappa, particles["z"] + arc * tanl, tanl], axis=1)
 
 
-def at_origin_in(particles: Table, field: _core.Field) -> Floats:
+def at_origin_in(particles: Table, field: _core.detector.Field) -> Floats:
     """Helix of each particle where it was closest to the beam line, tracked back through any field in vacuum.
 
     Parameters
     ----------
     particles : Table of kind "particles"
         Charged; rows without charge or transverse momentum are NaN.
-    field : _core.Field
+    field : _core.detector.Field
         Where the backward track leaves the map, the field at the origin is used.
 
     Returns
@@ -259,7 +259,7 @@ def change_pivot(
     step = np.ascontiguousarray(np.broadcast_to(np.subtract(pivot_to, pivot_from, dtype=np.float64), (rows, 3)))
     field = np.ascontiguousarray(np.broadcast_to(np.asarray(bz, np.float64), rows))
     helices = np.ascontiguousarray(given).reshape(-1, 5), np.ascontiguousarray(covariance).reshape(-1, 25)
-    moved, with_errors = _core.change_pivot(*helices, step, field)
+    moved, with_errors = _core.kalman.change_pivot(*helices, step, field)
     return moved.reshape(given.shape), with_errors.reshape(covariance.shape)
 
 

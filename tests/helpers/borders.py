@@ -12,6 +12,7 @@ import resource
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,12 @@ def replaced(value: Any, path: tuple[Any, ...], number: float) -> Any:
     return type(value)(replaced(one, tuple(rest), number) if i == step else one for i, one in enumerate(value))
 
 
+def compiled_names() -> list[tuple[ModuleType, str, Any]]:
+    """Return the submodules of the compiled module with the names and objects that each defines."""
+    parts = [one for name, one in vars(_core).items() if isinstance(one, ModuleType) and not name.startswith("_")]
+    return [(part, name, one) for part in parts for name, one in vars(part).items() if not name.startswith("_")]
+
+
 @contextlib.contextmanager
 def recorded(calls: dict[str, list[Call]], most: int = 2) -> Iterator[None]:
     """Record the first calls of each function, and of the constructor of each class, while the context lasts."""
@@ -87,12 +94,12 @@ def recorded(calls: dict[str, list[Call]], most: int = 2) -> Iterator[None]:
 
         setattr(owner, attribute, called)
 
-    for name, one in list(vars(_core).items()):
-        if name.startswith("_") or not callable(one):
+    for part, name, one in compiled_names():
+        if not callable(one):
             continue
         if not isinstance(one, type):
-            record(_core, name, name)
-        elif one.__module__ == _core.__name__ and "__init__" in vars(one) and not hasattr(one, "__members__"):
+            record(part, name, name)
+        elif "__init__" in vars(one) and not hasattr(one, "__members__"):
             record(one, "__init__", name)
     try:
         yield

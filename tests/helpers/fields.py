@@ -30,10 +30,10 @@ def box_grid(values, half=600.0, step=50.0, half_z=1000.0) -> FieldGrid:
     return FieldGrid(axes, values(*points))
 
 
-def on_core(grid: FieldGrid, tolerance=1e-3) -> _core.Field:
+def on_core(grid: FieldGrid, tolerance=1e-3) -> _core.detector.Field:
     axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
     coefficients = grid.coefficients().ravel()
-    return _core.Field(bz=grid.bz_at_origin(), axes=axes, coefficients=coefficients, tolerance=tolerance)
+    return _core.detector.Field(bz=grid.bz_at_origin(), axes=axes, coefficients=coefficients, tolerance=tolerance)
 
 
 def small_map(folder):

@@ -61,14 +61,14 @@ def core_detector(cgem=None, wires=None, bz=-1.0):
     """Compiled detector without matter."""
     reals = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi")
     slabs = {name: np.empty(0) for name in reals} | {"gap": np.empty(0, "i4"), "filler": np.empty(0, "u1")}
-    return _core.Detector(
+    return _core.detector.Detector(
         bz=bz,
         slabs=slabs,
-        log_terms=np.empty((0, _core.LOSS_POINTS)),
+        log_terms=np.empty((0, _core.detector.LOSS_POINTS)),
         composition={"first": np.zeros(1, "i4")} | {name: np.empty(0) for name in ("z", "a", "moles")},
         layers=design_layers() if cgem is None else cgem,
         wires=wire_layers() if wires is None else wires,
-        screening=_core.Screening.wentzel,
+        screening=_core.matter.Screening.wentzel,
     )
 
 

@@ -94,7 +94,9 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
 
     With `gap_radius` a drift gap there, where nothing scatters and half a keV is lost, records the particles.
     """
-    grid = np.exp(_core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS))
+    grid = np.exp(
+        _core.detector.LOSS_GRID_FIRST + _core.detector.LOSS_GRID_STEP * np.arange(_core.detector.LOSS_POINTS)
+    )
     rows, terms, elements = [], [], []
     for matter, thickness, radius in parts:
         x0 = thickness * 0.1 * matter.density / matter.x0
@@ -119,9 +121,9 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
     cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, 2))}
     real = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in ("number", "cells", "gid_first")}
-    core = _core.Detector(
+    core = _core.detector.Detector(
         bz=bz, slabs=columns, log_terms=np.array(terms), composition=composition(elements), layers=cgem, wires=wires,
-        screening=getattr(_core.Screening, screening),
+        screening=getattr(_core.matter.Screening, screening),
     )  # fmt: skip
-    choice = getattr(_core.CoreLoss, loss)
-    return core.with_loss(loss=choice, radiation=True, momentum_error=_core.USUAL_MOMENTUM_ERROR)
+    choice = getattr(_core.matter.CoreLoss, loss)
+    return core.with_loss(loss=choice, radiation=True, momentum_error=_core.matter.USUAL_MOMENTUM_ERROR)

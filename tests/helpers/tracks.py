@@ -66,9 +66,10 @@ def without_matter(detector: Detector, density=0.0):
     table = slab_table(slabs(detector))
     columns = table.slabs | {name: density * table.slabs[name] for name in ("x0", "xi", "spread")}
     composition = table.composition | {"moles": density * table.composition["moles"]}
-    return _core.Detector(
+    return _core.detector.Detector(
         bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=composition,
-        layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+        layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber),
+        screening=_core.matter.Screening.wentzel,
         field=compiled_field(detector),
     )  # fmt: skip
 
@@ -77,8 +78,10 @@ def transport(core, table, fluctuations="off", seed=1, decays=None, half_turns=1
     """Run the compiled simulation alone; nothing decays unless a table of decays is given."""
     names = ("event", "particle", "pdg", "charge", "mass", "x", "y", "z", "px", "py", "pz")
     columns = {name: table[name] for name in names}
-    fluctuations = getattr(_core.Fluctuations, fluctuations)
-    return _core.simulate(core, columns, fluctuations=fluctuations, decays=decays, half_turns=half_turns, seed=seed)
+    fluctuations = getattr(_core.simulation.Fluctuations, fluctuations)
+    return _core.simulation.simulate(
+        core, columns, fluctuations=fluctuations, decays=decays, half_turns=half_turns, seed=seed
+    )
 
 
 def hits_of(detector: Detector, out):

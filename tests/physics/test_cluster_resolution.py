@@ -26,8 +26,8 @@ class Sample:
         truths = gem_toy.muons_through(layers, n, seed=11)
         err_x, err_v = error_table(layers, -1.0, ClusterSettings())
         values = {"gain": 12_000.0, "w_values": np.full(3, 0.0259), "threshold": 1.7}
-        digis = _core.read_out_strips(detector, truths, gem_toy.no_steps(), **values)
-        found = _core.find_clusters(detector, digis, err_x=err_x, err_v=err_v, by_charge=False)
+        digis = _core.simulation.read_out_strips(detector, truths, gem_toy.no_steps(), **values)
+        found = _core.reconstruction.find_clusters(detector, digis, err_x=err_x, err_v=err_v, by_charge=False)
         self.layers, self.truths = layers, truths
         self.x = self.view(found, 0)
         self.v = self.view(found, 1)

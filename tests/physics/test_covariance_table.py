@@ -75,7 +75,9 @@ def turned_wires(detector: cg.Detector, p: float, cos_theta: float) -> Columns:
     return wires | {"phi_east": PHI + turn + own}
 
 
-def matter(found: list[Slab], wires: Columns, detector: cg.Detector, p: float, cos_theta: float) -> _core.Detector:
+def matter(
+    found: list[Slab], wires: Columns, detector: cg.Detector, p: float, cos_theta: float
+) -> _core.detector.Detector:
     """Return the detector of the core with the scattering of the table and no energy loss."""
     table = slab_table(found)
     columns = table.slabs | {"xi": np.full(len(found), 1e-30)}
@@ -86,13 +88,13 @@ def matter(found: list[Slab], wires: Columns, detector: cg.Detector, p: float, c
     for _ in range(8):
         one = np.arange(len(found) + 1, dtype=np.int32)
         carbon = {"first": one, "z": np.full(len(x0), 6.0), "a": np.full(len(x0), 12.0), "moles": moles}
-        core = _core.Detector(
+        core = _core.detector.Detector(
             bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=carbon,
-            layers=layer_table(detector.cgem), wires=wires, screening=_core.Screening.wentzel,
+            layers=layer_table(detector.cgem), wires=wires, screening=_core.matter.Screening.wentzel,
         )  # fmt: skip
-        total = _core.total_matter(core, cos_theta * sec)[2]
+        total = _core.matter.total_matter(core, cos_theta * sec)[2]
         now = [
-            _core.scattering_angle(core, i, path=1.0, p=p, mass=MUON, charge=-1.0, track_chi_c2=total)
+            _core.matter.scattering_angle(core, i, path=1.0, p=p, mass=MUON, charge=-1.0, track_chi_c2=total)
             for i in range(len(found))
         ]
         moles = moles * angle2 * x0 / np.square(now)

@@ -90,7 +90,7 @@ def test_electrons_that_come_in_nearly_replace_those_that_leave() -> None:
     without = _core._testing.ionize(core, 0, p=1.0, mass=MUON, n=N, seed=3, deltas=False, keep_clusters=False)
     (gap,) = (i for i, slab in enumerate(slabs(detector)) if slab.gap == 0)
     restricted, bethe = (
-        1e6 * _core.restricted_loss(core, gap, path=1.0, p=1.0, mass=MUON, cut=cut) for cut in (30e-6, 1.0)
+        1e6 * _core.matter.restricted_loss(core, gap, path=1.0, p=1.0, mass=MUON, cut=cut) for cut in (30e-6, 1.0)
     )
     assert restricted < found["energy"].mean() < bethe
     # The usual track has no delta electron: the same, up to one electron of thirty.

@@ -31,7 +31,9 @@ def test_collision_loss_in_water(kinetic, estar):
     Numbers compared with copies of the table in public repositories.
     """
     core = slab_detector([(WATER, 10.0, 50.0)])  # 1 g/cm2
-    found = _core.restricted_loss(core, 0, path=1.0, p=momentum(kinetic * MEV), mass=ELECTRON, charge=-1, cut=1e3)
+    found = _core.matter.restricted_loss(
+        core, 0, path=1.0, p=momentum(kinetic * MEV), mass=ELECTRON, charge=-1, cut=1e3
+    )
     assert found / MEV == pytest.approx(estar, rel=5e-3)
 
 
@@ -40,7 +42,9 @@ def test_positrons_lose_less_when_fast():
     core = slab_detector([(WATER, 10.0, 50.0)])
 
     def loss(kinetic, charge):
-        return _core.restricted_loss(core, 0, path=1.0, p=momentum(kinetic), mass=ELECTRON, charge=charge, cut=1e3)
+        return _core.matter.restricted_loss(
+            core, 0, path=1.0, p=momentum(kinetic), mass=ELECTRON, charge=charge, cut=1e3
+        )
 
     for kinetic in (1 * MEV, 10 * MEV, 100 * MEV):
         assert 0.015 < 1 - loss(kinetic, +1) / loss(kinetic, -1) < 0.045
@@ -72,7 +76,7 @@ def test_restricted_loss_is_the_integral_of_the_spectrum(kinetic, charge, spectr
     xi = WATER.xi(1.0) * (1 + (ELECTRON / p) ** 2)
 
     def loss(cut):
-        return _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
+        return _core.matter.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
 
     edges = largest * kinetic * np.array([1e-3, 0.03, 0.3, 0.6, 0.999])
     for low, high in itertools.pairwise(edges):
@@ -90,7 +94,7 @@ def test_single_collisions(kinetic, charge, spectrum, largest):
     core, p, n = slab_detector([(BERYLLIUM, 0.02, 50.0)]), momentum(kinetic), 1_000_000
     xi = BERYLLIUM.xi(0.02) * (1 + (ELECTRON / p) ** 2)
     sample = _core._testing.sample_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, seed=2, n=n)
-    mean = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=1e3)
+    mean = _core.matter.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=1e3)
     assert_within(sample.mean(), mean, mean_error(sample), what="mean")
     assert sample.max() < largest * kinetic + 40 * xi
     edges = largest * kinetic * np.array([0.02, 0.1, 0.4, 1.0])
@@ -108,16 +112,16 @@ def test_radiation(charge):
     # Each photon y leaves 1 - y: the mean of the product is exp(-t), that of its square exp(-t (2 - 17/36)).
     t, n, energy = 0.05, 400_000, 1.0
     core = slab_detector([(RADIATOR, t * 14.35, 50.0)])
-    out = _core.through_slabs(core, p=energy, mass=ELECTRON, charge=charge, n=n, seed=4)["loss"] / energy
-    thickness = _core.total_matter(core, 0.0)[0]
+    out = _core.simulation.through_slabs(core, p=energy, mass=ELECTRON, charge=charge, n=n, seed=4)["loss"] / energy
+    thickness = _core.matter.total_matter(core, 0.0)[0]
     assert_within(out.mean(), 1 - np.exp(-thickness), np.hypot(mean_error(out), 1e-6), what="mean")
     variance = np.exp(-thickness * (2 - 17 / 36)) - np.exp(-2 * thickness)
     assert_within(out.var(), variance, np.std((out - out.mean()) ** 2) / np.sqrt(n), what="variance")
     with pytest.raises(AssertionError, match="standard errors"):
         assert_within(out.mean(), 1.03 * (1 - np.exp(-thickness)), mean_error(out))
     thin = slab_detector([(RADIATOR, 0.002 * 14.35, 50.0)])
-    out = _core.through_slabs(thin, p=energy, mass=ELECTRON, charge=charge, n=n, seed=5)["loss"] / energy
-    thickness = _core.total_matter(thin, 0.0)[0]
+    out = _core.simulation.through_slabs(thin, p=energy, mass=ELECTRON, charge=charge, n=n, seed=5)["loss"] / energy
+    thickness = _core.matter.total_matter(thin, 0.0)[0]
     for y in (0.01, 0.1, 0.5, 0.9):
         expected = n * thickness * (-4 / 3 * np.log(y) - 4 / 3 * (1 - y) + 0.5 * (1 - y**2))
         error = np.hypot(np.sqrt(expected), 4 * thickness * expected)  # a second photon may help
@@ -127,7 +131,9 @@ def test_radiation(charge):
 def test_muons_do_not_radiate():
     """The same matter takes nothing from a muon."""
     core = slab_detector([(RADIATOR, 1.0, 50.0)])
-    assert _core.through_slabs(core, p=1.0, mass=0.1056583755, charge=-1, n=100, seed=4)["loss"].max() < 1e-10
+    assert (
+        _core.simulation.through_slabs(core, p=1.0, mass=0.1056583755, charge=-1, n=100, seed=4)["loss"].max() < 1e-10
+    )
 
 
 def photons(y):
@@ -150,11 +156,11 @@ def moments(core, p, charge, track_xi):
 def test_what_the_fit_takes(p, charge):
     """Collisions and photons below the cut, by numerical integration; the slope is the loss's derivative."""
     core = slab_detector([(COPPER, 0.3, 50.0)])
-    xi = _core.total_matter(core, 0.0)[1]
+    xi = _core.matter.total_matter(core, 0.0)[1]
     t = 0.03 / COPPER.x0 * COPPER.density
     energy, beta2 = np.hypot(p, ELECTRON), 1 / (1 + (ELECTRON / p) ** 2)
-    cut = _core.CORE_CUT_XI * xi / beta2 + _core.CORE_CUT_SHARE * p * np.sqrt(beta2)
-    collisions = _core.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
+    cut = _core.matter.CORE_CUT_XI * xi / beta2 + _core.matter.CORE_CUT_SHARE * p * np.sqrt(beta2)
+    collisions = _core.matter.restricted_loss(core, 0, path=1.0, p=p, mass=ELECTRON, charge=charge, cut=cut)
     loss, variance, slope = moments(core, p, charge, xi)
     assert loss == pytest.approx(collisions + t * energy * radiated(cut / energy, 1), rel=1e-9)
     assert variance == pytest.approx(cut * xi / beta2 + t * energy**2 * radiated(cut / energy, 2), rel=1e-9)
@@ -169,7 +175,7 @@ def test_photons_are_cut_like_collisions(error):
     """The loss with radiation, less the loss without, is that of photons below the cut, whatever the cut."""
     detector, p, xi = load("besiii-cgem-design"), 0.8, 1e-6
     thick, energy = slabs_of(detector)[0].x0, np.hypot(p, ELECTRON)
-    cut = min((_core.CORE_CUT_XI * xi + 7 / 3 * error * p) / energy, 1.0)
+    cut = min((_core.matter.CORE_CUT_XI * xi + 7 / 3 * error * p) / energy, 1.0)
 
     def found(p):
         both = [tuned(detector, radiation=on, momentum_error=error) for on in (True, False)]

@@ -116,7 +116,7 @@ def test_shape_is_landau():
     w_max = 2 * ELECTRON / MUON**2 / (1 + 2 * gamma * ELECTRON / MUON + (ELECTRON / MUON) ** 2)
     xi = columns["xi"][0] / b2
     assert xi < 1e-3 * w_max
-    mean = _core.restricted_loss(core, 0, path=1.0, p=1.0, mass=MUON, cut=w_max)
+    mean = _core.matter.restricted_loss(core, 0, path=1.0, p=1.0, mass=MUON, cut=w_max)
     losses = _core._testing.sample_loss(core, 0, path=1.0, p=1.0, mass=MUON, seed=5, n=N)
     probabilities = np.array([0.1, 0.25, 0.5, 0.75, 0.9, 0.95])
     expected = landau_quantiles(xi, mean, w_max, b2, probabilities)
@@ -157,6 +157,6 @@ def test_losses_are_never_negative():
     losses = _core._testing.sample_loss(core, gap, path=1.0, p=1.0, mass=MUON, seed=2, n=N)
     assert losses.min() >= 0
     xi = columns["xi"][gap] / beta2(1.0, MUON)
-    mean = _core.restricted_loss(core, gap, path=1.0, p=1.0, mass=MUON, cut=1e3)
+    mean = _core.matter.restricted_loss(core, gap, path=1.0, p=1.0, mass=MUON, cut=1e3)
     w_max = 2 * ELECTRON / MUON**2 / (1 + 2 * math.hypot(1, MUON) / MUON * ELECTRON / MUON)
     assert_within(losses.mean(), mean, math.sqrt(xi * w_max * (1 - 0.5 * beta2(1.0, MUON)) / N))

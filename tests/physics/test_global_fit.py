@@ -27,7 +27,7 @@ def sample(name: str):
     hits = hits_of_result(result)
     start = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     arguments = core_arguments(result.detector, hits, result.particles["mass"], start, FIT)
-    fitted = _core.fit(**arguments)
+    fitted = _core.reconstruction.fit(**arguments)
     assert np.all(fitted["status"] == 0)
     return result.detector, arguments["detector"], hits, result.particles["mass"], fitted
 

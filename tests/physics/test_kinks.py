@@ -18,7 +18,7 @@ from fields import HARMONIC
 from pages.optimal import Hit, Optimum, follow, optimum, stack_of
 from tracks import hits_of_result
 
-CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
+CUT = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
 GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
 
 

@@ -44,16 +44,16 @@ def measured(p: float) -> Measured:
     settings = dataclasses.asdict(FitSettings())
     chosen = {"errors_from_track": False, "momentum": p, "prior_sigma": settings["prior_sigma"]}
     chosen |= {name: settings[name] for name in CORE_SETTINGS}
-    out = _core.fit(
+    out = _core.reconstruction.fit(
         compact, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]), start=helix[None],
         settings=chosen, residuals=False,
     )  # fmt: skip
     beta2 = p * p / (p * p + MUON**2)
-    xi = _core.total_matter(compact, 0.0)[1] / beta2
+    xi = _core.matter.total_matter(compact, 0.0)[1] / beta2
     error = math.sqrt(out["cov"][0, 2, 2] * beta2) * p * p / xi
     ratio, gamma = 0.51099895e-3 / MUON, math.hypot(1, p / MUON)
     w_max = 2 * 0.51099895e-3 * (p / MUON) ** 2 / (1 + 2 * gamma * ratio + ratio**2) / xi
-    cut = min(_core.CORE_CUT_XI + _core.CORE_CUT_SHARE * p * math.sqrt(beta2) / xi, w_max)
+    cut = min(_core.matter.CORE_CUT_XI + _core.matter.CORE_CUT_SHARE * p * math.sqrt(beta2) / xi, w_max)
     return Measured(w_max, cut, math.sqrt(error**2 - cut * (1 - beta2 * cut / w_max / 2)), beta2)
 
 
@@ -78,7 +78,7 @@ def test_other_cuts_miss_the_core() -> None:
     """Landau's width alone is too small an error, all collisions too large a one; the most probable loss is off."""
     for p in (0.3, 0.5):
         assert abs(off(p, math.exp(0.2))[0]) > 0.15
-        assert off(p, _core.CORE_CUT_XI)[1] < -0.03
+        assert off(p, _core.matter.CORE_CUT_XI)[1] < -0.03
         assert off(p, math.inf)[1] > 0.08
 
 
@@ -108,7 +108,7 @@ def test_choices_are_what_they_say() -> None:
     loss, variance, _ = moments("mean")
     everything = slab_detector([(BERYLLIUM, thickness, 50.0)])
     assert loss == pytest.approx(
-        _core.restricted_loss(everything, 0, path=1.0, p=p, mass=MUON, charge=1.0, cut=1e9), rel=1e-3
+        _core.matter.restricted_loss(everything, 0, path=1.0, p=p, mass=MUON, charge=1.0, cut=1e9), rel=1e-3
     )
     assert variance == pytest.approx(xi * w_max * (1 - beta2 / 2), rel=1e-6)
     # PDG 2024, eq. 34.12: xi [ln(2 m_e (beta gamma)^2/I) + ln(xi/I) + 0.200 - beta^2 - delta]; below W_max by a

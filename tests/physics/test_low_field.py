@@ -96,10 +96,10 @@ def line_fit(detector: cg.Detector, p: float) -> tuple[np.ndarray, np.ndarray]:
     are those of the matter's own model, everything else is independent of the fit.
     """
     core = tuned(detector)
-    total = _core.total_matter(core, 0.0)[2]
+    total = _core.matter.total_matter(core, 0.0)[2]
     cov = np.diag(np.full(len(RADII), SIGMA**2))
     for number, slab in enumerate(slabs(detector)):
-        angle = _core.scattering_angle(core, number, path=1.0, p=p, mass=MUON, charge=-1, track_chi_c2=total)
+        angle = _core.matter.scattering_angle(core, number, path=1.0, p=p, mass=MUON, charge=-1, track_chi_c2=total)
         beyond = np.maximum(RADII - slab.radius, 0.0)
         cov += angle**2 * np.outer(beyond, beyond)
     return np.stack([np.ones(len(RADII)), RADII], axis=1), np.linalg.inv(cov)
@@ -188,8 +188,8 @@ def test_states_scatter_with_the_given_momentum():
         start = result.fitted["cov"][:, 1, 1]
         errors[bz] = np.median(out["cov"][:, 1, 1] - start) if bz == 0 else 0.0
     pipe = tuned(in_field("besiii-cgem", 0.0))
-    total = _core.total_matter(pipe, 0.0)[2]
-    angle = _core.scattering_angle(pipe, 0, path=1.0, p=0.3, mass=MUON, charge=-1, track_chi_c2=total)
+    total = _core.matter.total_matter(pipe, 0.0)[2]
+    angle = _core.matter.scattering_angle(pipe, 0, path=1.0, p=0.3, mass=MUON, charge=-1, track_chi_c2=total)
     assert errors[0.0] == pytest.approx(angle**2, rel=0.05)
 
 

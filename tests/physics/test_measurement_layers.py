@@ -234,8 +234,8 @@ def test_matter_behind_the_last_hit_changes_errors_by_less_than_one_per_cent() -
     a, b = (cg.analytic(cg.load(one), "mu-", p=1.0, cos_theta=0.0, fit=fit) for one in ("besiii-pixel", behind))
     np.testing.assert_allclose(np.diag(b.cov), np.diag(a.cov), rtol=0.02)
     thin, thick = (tuned(cg.load(one)) for one in ("besiii-pixel", behind))
-    inside = _core.total_matter(thin, 0.0)[2]
-    assert _core.total_matter(thick, 0.0)[2] > 50 * inside
+    inside = _core.matter.total_matter(thin, 0.0)[2]
+    assert _core.matter.total_matter(thick, 0.0)[2] > 50 * inside
     assert thick.acting[np.isfinite(thick.acting)].max() <= inside
 
 

@@ -20,7 +20,7 @@ from tracks import MUON, hits_on
 
 pytestmark = pytest.mark.slow
 
-CUT = (_core.CORE_CUT_XI, _core.CORE_CUT_SHARE)
+CUT = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
 POINTS = [(name, *point) for name, points in TABLE.items() for point in points]
 
 
@@ -46,7 +46,7 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
     detector, helix, found, hits = track(name, p, cos_theta)
     best = optimum(detector, hits, helix, MUON, CUT).cov
     settings = FitSettings()
-    out = _core.fit(
+    out = _core.reconstruction.fit(
         tuned(detector), hit_offsets=np.array([0, len(hits)]), hits=found, mass=np.array([MUON]), start=helix[None],
         settings={
             "max_iterations": 20, "tolerance": 1e-6, "errors_from_track": False, "least_width": 0.1,

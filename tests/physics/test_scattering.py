@@ -156,7 +156,7 @@ def test_angle_of_a_particle_depends_on_its_own_stream_only():
         np.testing.assert_array_equal(some[name], everyone[name][[3, 7, 11]])
     other = transport(core, table, "full", seed=2)["truths"]
     assert not np.any(other["phi"] == everyone["phi"])
-    assert _core.Purpose.scattering != _core.Purpose.energy_loss
+    assert _core.common.Purpose.scattering != _core.common.Purpose.energy_loss
 
 
 def test_a_slab_crossed_twice_scatters_anew():

@@ -34,7 +34,7 @@ def through(parts, p, screening, n=N, seed=1, pieces=1):
             placed.append((matter, thickness / pieces, edge + 0.5 * thickness / pieces))
             edge += thickness / pieces
     core = slab_detector(placed, screening=screening)
-    return _core.through_slabs(core, p=p, mass=MUON, charge=-1, n=n, seed=seed)
+    return _core.simulation.through_slabs(core, p=p, mass=MUON, charge=-1, n=n, seed=seed)
 
 
 def widths(angles):

@@ -43,7 +43,7 @@ def straggling(matter, thickness, p, mass):
 def losses(matter, thickness, p, mass, n=200_000, seed=3, pieces=1):
     """Return losses behind a sheet, cut in pieces, GeV."""
     parts = [(matter, thickness / pieces, 10 + thickness * (i + 0.5) / pieces) for i in range(pieces)]
-    return _core.through_slabs(slab_detector(parts), p=p, mass=mass, charge=1, n=n, seed=seed)["loss"]
+    return _core.simulation.through_slabs(slab_detector(parts), p=p, mass=mass, charge=1, n=n, seed=seed)["loss"]
 
 
 def test_the_convolution_is_landaus():
@@ -140,9 +140,9 @@ def test_slow_particles_lose_what_bethe_says(p, mass):
 def test_stopping_is_a_status():
     """Protons that cannot cross stop and leave all their energy; of faster ones none does."""
     core = slab_detector([(BERYLLIUM, 2.0, 50.0 + 2 * i) for i in range(5)])
-    out = _core.through_slabs(core, p=0.15, mass=PROTON, charge=1, n=200, seed=1)
-    assert np.all(out["status"] == _core.TransportStatus.stopped)
+    out = _core.simulation.through_slabs(core, p=0.15, mass=PROTON, charge=1, n=200, seed=1)
+    assert np.all(out["status"] == _core.common.TransportStatus.stopped)
     np.testing.assert_allclose(out["loss"], np.hypot(0.15, PROTON) - PROTON, rtol=1e-12)
     assert np.all(np.isfinite(out["angle_1"]) & np.isfinite(out["shift_1"]))
-    fast = _core.through_slabs(core, p=1.0, mass=PROTON, charge=1, n=200, seed=1)
-    assert np.all(fast["status"] == _core.TransportStatus.outside)
+    fast = _core.simulation.through_slabs(core, p=1.0, mass=PROTON, charge=1, n=200, seed=1)
+    assert np.all(fast["status"] == _core.common.TransportStatus.outside)

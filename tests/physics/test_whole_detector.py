@@ -20,11 +20,11 @@ def covariance(core, hits, helix):
         "max_iterations": 1, "tolerance": 1e9, "errors_from_track": False, "least_width": 0.1, "delta_strips": 0.0,
         "kinks": False, "outlier_pull": 0.0, "momentum": 1.0, "prior_sigma": tuple(FitSettings().prior_sigma),
     }  # fmt: skip
-    out = _core.fit(
+    out = _core.reconstruction.fit(
         core, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]),
         start=np.atleast_2d(helix), settings=settings, residuals=False,
     )  # fmt: skip
-    assert out["status"][0] == _core.FitStatus.ok
+    assert out["status"][0] == _core.common.FitStatus.ok
     return out["cov"][0]
 
 
@@ -49,10 +49,10 @@ def test_the_gate_sees_lost_matter():
     """A merge that loses three per cent of the matter is seen."""
     detector = load("besiii-cgem-design")
     table = slab_table(slabs(detector))
-    lossy = _core.Detector(
+    lossy = _core.detector.Detector(
         bz=-1.0, slabs=table.slabs, log_terms=table.log_terms, layers=layer_table(detector.cgem),
         composition=table.composition | {"moles": 0.97 * table.composition["moles"]},
-        wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+        wires=wire_table(detector.drift_chamber), screening=_core.matter.Screening.wentzel,
     )  # fmt: skip
     assert np.abs(merging(detector, np.array([0.1, 0.5, -2.0, 2.0, 0.0]), lossy)).max() > 0.007
 
@@ -61,22 +61,22 @@ def part_of_the_matter(screening, gas):
     """Return the chamber gas of the design alone, or all but the gas, as the core has it."""
     detector = load("besiii-cgem-design")
     table = slab_table([slab for slab in slabs(detector) if (slab.shells[0].group == "gas") == gas])
-    return _core.Detector(
+    return _core.detector.Detector(
         bz=-1.0, **table._asdict(), layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber),
-        screening=getattr(_core.Screening, screening),
+        screening=getattr(_core.matter.Screening, screening),
     )  # fmt: skip
 
 
 def core_through(core, p):
     """Return the fit's plane angle behind all slabs at normal incidence, the momentum taken half-way through each."""
-    _, xi, total = _core.total_matter(core, 0.0)
+    _, xi, total = _core.matter.total_matter(core, 0.0)
     variance, energy = 0.0, math.hypot(p, MUON)
     for slab in range(core.n_slabs):
         before = math.sqrt(energy**2 - MUON**2)
         energy -= _core._testing.core_loss(core, slab, path=1.0, p=before, mass=MUON, charge=-1, track_xi=xi)[0]
         middle = 0.5 * (before + math.sqrt(energy**2 - MUON**2))
         variance += (
-            _core.scattering_angle(core, slab, path=1.0, p=middle, mass=MUON, charge=-1, track_chi_c2=total) ** 2
+            _core.matter.scattering_angle(core, slab, path=1.0, p=middle, mass=MUON, charge=-1, track_chi_c2=total) ** 2
         )
     return math.sqrt(variance)
 
@@ -95,7 +95,7 @@ def truncated_width(sample):
 def test_the_fits_angle_is_the_core_of_the_simulated_one(gas, screening, p):
     """Behind gas, or all else, the fit's angle is the half width of 68 % to 1 %, the truncated width to 2 %."""
     core = part_of_the_matter(screening, gas)
-    out = _core.through_slabs(core, p=p, mass=MUON, charge=-1, n=25_000, seed=1)
+    out = _core.simulation.through_slabs(core, p=p, mass=MUON, charge=-1, n=25_000, seed=1)
     angles = np.concatenate([out["angle_1"], out["angle_2"]])
     expected = core_through(core, p)
     error = expected / math.sqrt(len(angles))  # of a quantile and of a width, or a little less

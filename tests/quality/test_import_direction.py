@@ -29,7 +29,6 @@ CPP_LAYERS = [
 # folder. Pictures take data: curves, tables, results. Studies measure, and draw what they found.
 # `__init__` lists names for users, so it sees all of them.
 PYTHON_LAYERS = [
-    {"_core"},
     {"base", "units"},
     {"tables"},
     {"detector", "helix"},
@@ -46,6 +45,11 @@ PYTHON_LAYERS = [
     {"__main__", "__init__"},
 ]
 ONE_FOLDER = ({"base", "units"}, {"cli"})
+# A submodule of `_core` counts as the folder of its name. These folders of the core have no folder in Python, or serve
+# lower ones too: each may be used from this layer on.
+CORE_FROM = {"common": "base", "kernels": "base", "motion": "detector", "matter": "detector", "kalman": "detector"} | {
+    "detector": "detector", "readout": "detector", "covariance": "fit_matter",
+}  # fmt: skip
 CPP_RANK = {folder: rank for rank, layer in enumerate(CPP_LAYERS) for folder in layer}
 PYTHON_RANK = {module: rank for rank, layer in enumerate(PYTHON_LAYERS) for module in layer}
 
@@ -75,11 +79,30 @@ def python_problems(module: str, package: str, source: str) -> list[str]:
         first, *path = name.split(".")
         if first == "matplotlib" and module != "draw":
             problems.append(f"{module} imports {name}: only draw/ may")
-        if first != "cgemit" or not path or path[0] == module or {path[0], module} in ONE_FOLDER:
+        if first != "cgemit" or not path or path[0] in (module, "_core") or {path[0], module} in ONE_FOLDER:
             continue
         if python_rank(path[0]) >= PYTHON_RANK[module]:
             problems.append(f"{module} imports {name}")
-    return problems
+    return problems + [f"{module} uses _core.{part}" for part in parts_of_core(source) if not may_use(module, part)]
+
+
+def parts_of_core(source: str) -> set[str]:
+    """Return the submodules of `_core` that a module names."""
+    names = {
+        node.attr
+        for node in nodes_of(source)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "_core"
+        if not node.attr.startswith("__")
+    }
+    within = (name.split(".") for name in imports(source, "cgemit") if name.startswith("cgemit._core."))
+    return names | {name[2] for name in within}
+
+
+def may_use(module: str, part: str) -> bool:
+    """Tell whether a folder of the package may use a submodule of `_core`."""
+    if part in CORE_FROM:
+        return PYTHON_RANK[module] >= PYTHON_RANK[CORE_FROM[part]]
+    return part == module or (part in PYTHON_RANK and PYTHON_RANK[module] > PYTHON_RANK[part])
 
 
 def python_rank(module: str) -> int:
@@ -192,6 +215,12 @@ def test_a_wrong_include_is_seen(folder: str, line: str) -> None:
         ("draw", "def f():\n    from cgemit.study.scan import Scan"),
         ("analysis", "if TYPE_CHECKING:\n    from cgemit.draw.style import Picture"),
         ("study", "from cgemit import run"),
+        ("reconstruction", "_core.simulation.simulate()"),
+        ("reconstruction", "def f():\n    from cgemit._core import truth"),
+        ("reconstruction", "from cgemit._core.truth import assign_hits"),
+        ("detector", "def f() -> _core.covariance.Result: ..."),
+        ("tables", "_core.detector.Detector"),
+        ("chain", "_core.simulate()"),
     ],
 )
 def test_a_wrong_import_is_seen(module: str, line: str) -> None:

@@ -81,7 +81,7 @@ def test_every_struct_of_settings_is_listed() -> None:
 
 @pytest.mark.parametrize(
     ("choices", "core"),
-    [(Fluctuations, _core.Fluctuations), (Loss, _core.CoreLoss), (Screening, _core.Screening)],
+    [(Fluctuations, _core.simulation.Fluctuations), (Loss, _core.matter.CoreLoss), (Screening, _core.matter.Screening)],
     ids=["fluctuations", "loss", "screening"],
 )
 def test_choices_are_those_of_the_core(choices: Any, core: Any) -> None:

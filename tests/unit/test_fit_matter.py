@@ -16,11 +16,13 @@ DESIGN = cg.load("besiii-cgem-design")
 ACTING = np.full(compiled(DESIGN).n_slabs, np.inf)
 
 
-def simulated(core: _core.Detector, fluctuations: cg.simulation.transport.Fluctuations) -> dict[str, np.ndarray]:
+def simulated(
+    core: _core.detector.Detector, fluctuations: cg.simulation.transport.Fluctuations
+) -> dict[str, np.ndarray]:
     """Return the crossings of some muons."""
     particles = cg.run(DESIGN, cg.Gun("mu-", p=(0.1, 1.0), cos_theta=(-0.9, 0.9)), n=20, seed=5).particles
     settings = cg.SimulateSettings(fluctuations=fluctuations)
-    found: dict[str, np.ndarray] = _core.simulate(
+    found: dict[str, np.ndarray] = _core.simulation.simulate(
         **core_arguments(DESIGN, particles, settings, 5) | {"detector": core}
     )["truths"]
     return found
@@ -47,13 +49,13 @@ def test_a_detector_is_tuned_once_for_each_choice() -> None:
 def test_without_matter_nothing_acts_and_nothing_is_lost() -> None:
     core = tuned(DESIGN, matter=False)
     assert np.array_equal(core.acting, ACTING)
-    assert _core.total_matter(core, 0.0)[:2] == (0.0, 0.0)
+    assert _core.matter.total_matter(core, 0.0)[:2] == (0.0, 0.0)
 
 
 def test_only_noise_like_the_fits_depends_on_what_the_fit_assumes() -> None:
     """With full fluctuations every scatter and collision is drawn, and the fit's assumptions change no bit."""
     assumed = compiled(DESIGN).with_acting(0.01 * tuned(DESIGN).acting)
-    assumed = assumed.with_loss(loss=_core.CoreLoss.mean, radiation=False, momentum_error=0.1)
+    assumed = assumed.with_loss(loss=_core.matter.CoreLoss.mean, radiation=False, momentum_error=0.1)
     for fluctuations, same in (("full", True), ("gaussian", False), ("off", False)):
         usual, other = (simulated(core, fluctuations) for core in (compiled(DESIGN), assumed))
         assert all(np.array_equal(usual[name], other[name]) for name in usual) == same, fluctuations
@@ -80,13 +82,13 @@ def test_the_momentum_error_is_that_of_a_muon_of_1_gev_at_most_three_per_mille(n
 @pytest.mark.parametrize("error", [-0.1, 1.5, np.nan])
 def test_impossible_momentum_errors_are_refused(error: float) -> None:
     with pytest.raises(ValueError, match=r"loss momentum_error: got"):
-        compiled(DESIGN).with_loss(loss=_core.CoreLoss.truncated, radiation=True, momentum_error=error)
+        compiled(DESIGN).with_loss(loss=_core.matter.CoreLoss.truncated, radiation=True, momentum_error=error)
 
 
 def test_the_loss_is_that_of_the_choice() -> None:
     """Electrons lose more on average with radiation; a larger momentum error lets harder collisions count."""
 
-    def loss(core: _core.Detector) -> float:
+    def loss(core: _core.detector.Detector) -> float:
         given = {"path": 1.0, "p": 1.0, "mass": ELECTRON, "charge": -1, "track_xi": 1e-6}
         found: float = _core._testing.core_loss(core, 0, **given)[0]
         return found
@@ -99,10 +101,12 @@ def test_the_loss_is_that_of_the_choice() -> None:
 @pytest.mark.parametrize("mass", [ELECTRON, 0.1056583755])
 def test_the_cut_of_a_slab_is_scaled_by_what_the_fit_does_not_see(mass: float) -> None:
     """A slab that is half seen has the cut of twice the loss: its variance doubles, and its sum counts by halves."""
-    whole = compiled(DESIGN).with_loss(loss=_core.CoreLoss.truncated, radiation=False, momentum_error=0.003)
+    whole = compiled(DESIGN).with_loss(loss=_core.matter.CoreLoss.truncated, radiation=False, momentum_error=0.003)
     half = whole.with_unseen(np.full(whole.n_slabs, 0.5))
-    assert _core.total_matter(half, 0.0)[1] == pytest.approx(0.5 * _core.total_matter(whole, 0.0)[1], rel=1e-12)
-    xi = _core.total_matter(whole, 0.0)[1]
+    assert _core.matter.total_matter(half, 0.0)[1] == pytest.approx(
+        0.5 * _core.matter.total_matter(whole, 0.0)[1], rel=1e-12
+    )
+    xi = _core.matter.total_matter(whole, 0.0)[1]
     given = {"path": 1.0, "p": 0.8, "mass": mass, "charge": -1.0, "track_xi": xi}
     one, two = (np.array(_core._testing.core_loss(core, 3, **given)) for core in (whole, half))
     assert two[1] / one[1] == pytest.approx(2, rel=0.3 if mass > ELECTRON else 1e-9)  # W_max of muons is near
@@ -120,8 +124,10 @@ def test_matter_behind_the_last_measurement_acts_on_nothing() -> None:
     assert shares[0] == pytest.approx(1, abs=0.01)
     assert shares[-1] == 0
     np.testing.assert_allclose(shares[: len(plain) - 1], plain[:-1], atol=2e-4)  # then gas that is cut otherwise
-    assert _core.total_matter(tuned(coil), 0.0)[1] == pytest.approx(_core.total_matter(tuned(DESIGN), 0.0)[1], rel=1e-5)
-    assert _core.total_matter(compiled(coil), 0.0)[1] > 2 * _core.total_matter(compiled(DESIGN), 0.0)[1]
+    assert _core.matter.total_matter(tuned(coil), 0.0)[1] == pytest.approx(
+        _core.matter.total_matter(tuned(DESIGN), 0.0)[1], rel=1e-5
+    )
+    assert _core.matter.total_matter(compiled(coil), 0.0)[1] > 2 * _core.matter.total_matter(compiled(DESIGN), 0.0)[1]
 
 
 def test_electrons_have_the_error_of_their_momentum() -> None:
@@ -130,7 +136,7 @@ def test_electrons_have_the_error_of_their_momentum() -> None:
         budget = cg.analytic(DESIGN, "e-", p=p, cos_theta=cosine).budget("p")
         error = 1e-3 / p * float(np.sqrt(budget.total - budget.grouped("cause")["straggling"]))
         tanl = cosine / np.sqrt(1 - cosine**2)
-        xi = _core.total_matter(tuned(DESIGN), tanl)[1]
+        xi = _core.matter.total_matter(tuned(DESIGN), tanl)[1]
         found = unseen_cut(DESIGN, "wentzel", True, None, p, tanl)
         assert found == pytest.approx(7 / 3 * error + 5 * xi / p, rel=0.12)  # one muon tells all
     assert unseen_cut(DESIGN, "wentzel", True, 0.01, 1.0, 0.0) == pytest.approx(0.07 / 3 + 5 * xi / 1.25, rel=0.02)

@@ -398,8 +398,8 @@ def integrated_field(field, row, path):
 def test_steps_agree_with_scipy(p, path):
     points = starts(5, p)
     expected = np.array([integrated_field(harmonic_by_hand, row, path) for row in points])
-    tight, _ = advance(_core.Field(**HARMONIC, tolerance=TIGHTEST), points, path)
-    usual, _ = advance(_core.Field(**HARMONIC, tolerance=DEFAULT), points, path)
+    tight, _ = advance(_core.detector.Field(**HARMONIC, tolerance=TIGHTEST), points, path)
+    usual, _ = advance(_core.detector.Field(**HARMONIC, tolerance=DEFAULT), points, path)
     assert np.abs(tight[:, :3] - expected[:, :3]).max() < 1e-9
     assert np.abs(usual[:, :3] - expected[:, :3]).max() < 2e-4
     # Seen from the origin: the change of direction times the way.
@@ -409,7 +409,7 @@ def test_steps_agree_with_scipy(p, path):
 def test_another_field_is_seen():
     points = starts(5, 0.5)
     expected = np.array([integrated_field(harmonic_by_hand, row, 700.0) for row in points])
-    other, _ = advance(_core.Field(**HARMONIC | {"b": 0.176e-6}, tolerance=TIGHTEST), points, 700.0)
+    other, _ = advance(_core.detector.Field(**HARMONIC | {"b": 0.176e-6}, tolerance=TIGHTEST), points, 700.0)
     assert np.abs(other[:, :3] - expected[:, :3]).max() > 1e-3
 
 
@@ -420,7 +420,7 @@ def test_constant_map_is_a_helix(kind, p):
         lambda x, y, z: np.broadcast_to([0, 0, -1.0], (*x.shape, 3)), half=900.0, step=300.0, half_z=900.0
     )
     field = {
-        "harmonic": _core.Field(bz=-1.0, b=0.0, q=0.0, tolerance=TIGHTEST),
+        "harmonic": _core.detector.Field(bz=-1.0, b=0.0, q=0.0, tolerance=TIGHTEST),
         "grid": on_core(constant, TIGHTEST),
     }[kind]
     points, path = starts(20, p), 600.0
@@ -436,7 +436,7 @@ def test_derivatives_by_taylor_convergence(field):
     """What the derivatives leave of a displaced start falls by four where the displacement is halved."""
     steep = {**HARMONIC, "b": 1e-6}
     core = {
-        "harmonic": lambda: _core.Field(**steep, tolerance=TIGHTEST),
+        "harmonic": lambda: _core.detector.Field(**steep, tolerance=TIGHTEST),
         "grid": lambda: on_core(box_grid(lambda *at: harmonic_by_hand(*at, **steep), half=700.0), TIGHTEST),
     }[field]()
     points, path, rng = starts(3, 0.4), 500.0, np.random.default_rng(2)
@@ -473,7 +473,7 @@ def test_without_the_gradient_derivatives_would_be_wrong():
     start = np.zeros((5, 5))
     start[3, 0] = 1.0  # along the beam
     points = starts(1, 0.4)
-    _, by = advance(_core.Field(**HARMONIC, tolerance=TIGHTEST), points, 500.0, start)
+    _, by = advance(_core.detector.Field(**HARMONIC, tolerance=TIGHTEST), points, 500.0, start)
     assert np.linalg.norm(by[0, [0, 3], 0] - [0, 1]) > 1e-3
 
 

@@ -6,7 +6,7 @@ from typing import Any, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from cgemit._core import Detector
+from cgemit._core.detector import Detector
 
 _Array = npt.NDArray[Any]
 _Floats = npt.NDArray[np.float64]

@@ -117,7 +117,7 @@ class Quantity:
         if along is not None:
             prior = getattr(tracks, "meta", {}).get("prior_sigma", FitSettings().prior_sigma)
             sigma = prior[helix.PARAMETERS.index(along)]
-            weak = weak & (np.asarray(tracks[f"err_{along}"]) < _core.MOST_ERROR * sigma)
+            weak = weak & (np.asarray(tracks[f"err_{along}"]) < _core.reconstruction.MOST_ERROR * sigma)
         return np.asarray(ok | weak)
 
     def gradient(self, kappa: Floats, tanl: Floats, charge: npt.ArrayLike) -> Floats:

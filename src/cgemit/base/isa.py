@@ -31,7 +31,9 @@ def available() -> tuple[str, ...]:
     >>> cg.isa.available()[0]
     'scalar'
     """
-    return tuple(name for name in NAMES if name == "scalar" or (_library(name).exists() and _core.processor_runs(name)))
+    return tuple(
+        name for name in NAMES if name == "scalar" or (_library(name).exists() and _core.kernels.processor_runs(name))
+    )
 
 
 def cores() -> int:
@@ -54,7 +56,7 @@ def name() -> str:
     True
     """
     choose()
-    return _core.isa()
+    return _core.kernels.isa()
 
 
 def lanes() -> int:
@@ -66,7 +68,7 @@ def lanes() -> int:
     True
     """
     choose()
-    return _core.lanes()
+    return _core.kernels.lanes()
 
 
 def use(isa: str) -> None:
@@ -93,9 +95,9 @@ def use(isa: str) -> None:
     if isa not in available():
         raise ValueError(f"instruction set: {isa!r}, expected one of {', '.join(available())}")
     if isa == "scalar":
-        _core.use_scalar_kernels()
+        _core.kernels.use_scalar_kernels()
     else:
-        _core.use_kernels(str(_library(isa)))
+        _core.kernels.use_kernels(str(_library(isa)))
     global _chosen
     _chosen = True
 
@@ -122,7 +124,7 @@ def choose() -> None:
     if wanted and wanted not in available():
         raise ValueError(f"{VARIABLE}: {wanted!r}, expected one of {', '.join(available())}")
     use(wanted or available()[-1])
-    _core.keep_memory()
+    _core.common.keep_memory()
 
 
 def _library(isa: str) -> Path:

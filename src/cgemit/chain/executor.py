@@ -294,11 +294,11 @@ def pool_of(workers: Workers, tasks: int | None = None) -> Iterator[Executor]:
         try:
             yield pool
         except KeyboardInterrupt:
-            _core.stop_stages(True)
+            _core.common.stop_stages(True)
             try:
                 pool.shutdown(wait=True, cancel_futures=True)
             finally:
-                _core.stop_stages(False)
+                _core.common.stop_stages(False)
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -85,7 +85,7 @@ def _states(
     n = len(rows)
     zero = np.zeros(n)
     core = compiled_for_fit(tracks.detector, tracks.fit)
-    states: Columns = _core.states(
+    states: Columns = _core.reconstruction.states(
         core,
         hit_offsets=begin,
         hits={

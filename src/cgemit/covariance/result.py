@@ -122,7 +122,7 @@ def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) 
     variance = known.variance(covariance, kappa, tanl, 1.0) / known.factor**2  # relative: of any charge
     variance = variance.reshape(*variance.shape[:-1], -1, number)
     with np.errstate(invalid="ignore"):
-        return np.asarray(mean(variance, ~np.isnan(variance)) > _core.MOST_ERROR**2)
+        return np.asarray(mean(variance, ~np.isnan(variance)) > _core.reconstruction.MOST_ERROR**2)
 
 
 _LIGHT = 1e-3  # GeV/c2, above the mass of electrons

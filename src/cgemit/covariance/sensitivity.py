@@ -54,7 +54,7 @@ def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
     return with_cores(base, list(zip(variants, cores, strict=True)))
 
 
-def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detector]]) -> list[Covariance]:
+def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.detector.Detector]]) -> list[Covariance]:
     """Return the covariances in variants and their compiled detectors."""
     if not variants:
         return []
@@ -76,14 +76,14 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.Detect
     ]
 
 
-def core_of(base: Covariance, variant: Detector) -> _core.Detector:
+def core_of(base: Covariance, variant: Detector) -> _core.detector.Detector:
     """Return a variant as the fit of a covariance compiles it, with stereo angles that follow continuously."""
     return compiled_for_fit(_with_stereo(variant, base.detector), base._tracks.fit, base.detector)
 
 
-def keeps_order(base: Covariance, core: _core.Detector) -> bool:
+def keeps_order(base: Covariance, core: _core.detector.Detector) -> bool:
     """Return whether a variant has the slabs and wires of the detector of a covariance in the same order."""
-    return _core.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
+    return _core.covariance.same_surfaces(compiled_for_fit(base.detector, base._tracks.fit), core)
 
 
 @once
@@ -316,7 +316,7 @@ class _Neighbour(NamedTuple):
     """A variant of the detector, compiled, and by how much ln(number) differs."""
 
     detector: Detector
-    core: _core.Detector
+    core: _core.detector.Detector
     step: float
 
 

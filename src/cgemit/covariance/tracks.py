@@ -53,7 +53,7 @@ class Tracks:
     efficiencies: Floats  # (tracks, layers) probability of clusters; (0,): they are certain
 
     def run(
-        self, budget: bool, variants: Sequence[_core.Detector] = (), hits: bool = False
+        self, budget: bool, variants: Sequence[_core.detector.Detector] = (), hits: bool = False
     ) -> dict[str, npt.NDArray[Any]]:
         """Return the columns of the core, computed in chunks on all cores; those of variants as the first axis.
 
@@ -61,7 +61,7 @@ class Tracks:
         ----------
         budget : bool
             Whether to return the sums of the budget's terms.
-        variants : sequence of _core.Detector
+        variants : sequence of _core.detector.Detector
             Detectors that get the hits of the first; then every column has a first axis of 1 + their number.
         hits : bool
             Whether to return the expected hits of all tracks, without variants: ``hit_kind``, ``hit_layer``,
@@ -73,7 +73,7 @@ class Tracks:
 
         def part(first: int) -> dict[str, npt.NDArray[Any]]:
             rows = slice(first, min(first + step, n))
-            found: dict[str, Any] = _core.covariances(
+            found: dict[str, Any] = _core.covariance.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
                 charge=self.charge[rows], scatters=self.scatters[rows],
                 samples=self.samples, phases=self.phases,

@@ -407,7 +407,7 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
     if checksum is not None and checksum != grid.checksum:
         reader.note("field.checksum", str(checksum), f"{grid.checksum}, that of {values['file']}: the map has changed")
     own = grid.bz_at_origin()
-    if stated and values["bz"] and abs(own) < _core.STRAIGHT_FIELD:
+    if stated and values["bz"] and abs(own) < _core.kalman.STRAIGHT_FIELD:
         given = f"{values['bz']:g} T to scale the map to" if isinstance(values["bz"], float) else "a value"
         reader.note("field.bz", given, f"none: the map is {own:g} T at the origin")
     values |= {"grid": grid, "checksum": grid.checksum}

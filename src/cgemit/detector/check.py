@@ -49,13 +49,13 @@ def field_problems(field: Field) -> list[Problem]:
     """Return whether a map bends tracks, but not at the origin: kappa of a curvature is that in the field there."""
     if not isinstance(field, MapField) or not isinstance(field.grid, FieldGrid):
         return []
-    if not abs(field.bz) < _core.STRAIGHT_FIELD:
+    if not abs(field.bz) < _core.kalman.STRAIGHT_FIELD:
         return []
     own = abs(field.grid.bz_at_origin())
     largest = field.grid.largest() * (abs(field.bz) / own if own else 1.0)
     if largest < _WEAK:
         return []
-    least = f"at least {1e3 * _core.STRAIGHT_FIELD:g} mT, or a map below {1e3 * _WEAK:g} mT everywhere"
+    least = f"at least {1e3 * _core.kalman.STRAIGHT_FIELD:g} mT, or a map below {1e3 * _WEAK:g} mT everywhere"
     return [Problem("field.bz", f"{field.bz:g} T at the origin of a map of up to {largest:.3g} T", least)]
 
 

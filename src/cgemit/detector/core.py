@@ -161,14 +161,14 @@ STEP = 20.0
 _MARGIN_R, _MARGIN_Z = 50.0, 600.0  # mm, beyond the outermost part; steep tracks go on beyond the ends
 
 
-def compiled_field(detector: Contents) -> _core.Field | None:
+def compiled_field(detector: Contents) -> _core.detector.Field | None:
     """Return the field that tracks step through, or None where it is uniform."""
     field = detector.field
     if field.bz == 0 and not isinstance(field, MapField):
         return None
     if isinstance(field, HarmonicField):
         reach = (field.r_max, field.z_max)
-        return _core.Field(bz=field.bz, b=field.b, q=field.q, tolerance=field.tolerance, reach=reach)
+        return _core.detector.Field(bz=field.bz, b=field.b, q=field.q, tolerance=field.tolerance, reach=reach)
     if isinstance(field, SolenoidField):
         r, z = extent(detector)
         reach = (r + _MARGIN_R, z + _MARGIN_Z)
@@ -181,9 +181,9 @@ def compiled_field(detector: Contents) -> _core.Field | None:
     return None
 
 
-def _on_grid(grid: FieldGrid, scale: float, bz: float, tolerance: float) -> _core.Field:
+def _on_grid(grid: FieldGrid, scale: float, bz: float, tolerance: float) -> _core.detector.Field:
     axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
-    return _core.Field(bz=bz, axes=axes, coefficients=scale * grid.coefficients().ravel(), tolerance=tolerance)
+    return _core.detector.Field(bz=bz, axes=axes, coefficients=scale * grid.coefficients().ravel(), tolerance=tolerance)
 
 
 def field_at(detector: Contents, points: ArrayLike) -> NDArray[np.float64]:
@@ -317,7 +317,7 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     columns: Columns = dict(zip(NUMBERS, numbers.copy(), strict=True))
     columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
     columns["filler"] = np.array([slab.filler for slab in found], dtype=np.uint8)
-    terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.LOSS_POINTS)
+    terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.detector.LOSS_POINTS)
     elements = np.concatenate([np.empty((0, 3)), *(row.elements for row in rows)]).T
     first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)
     composition: Columns = dict(zip(("z", "a", "moles"), elements.copy(), strict=True))
@@ -339,7 +339,7 @@ def compiled(
     *,
     gaps: bool = True,
     matter: bool = True,
-) -> _core.Detector:
+) -> _core.detector.Detector:
     """Return the detector of the compiled core; equal descriptions share one with gaps.
 
     It assumes nothing of tracks: all matter of a track acts with every slab. The fit takes that of
@@ -382,19 +382,21 @@ def forget() -> None:
     gap_columns.cache_clear()
 
 
-def _made(detector: Detector, merge: bool, screening: str, foil: str, gaps: bool, matter: bool) -> _core.Detector:
+def _made(
+    detector: Detector, merge: bool, screening: str, foil: str, gaps: bool, matter: bool
+) -> _core.detector.Detector:
     isa.choose()
     found = slabs(detector, merge, foil)
     groups = [slab.shells[0].group for slab in found]
     table = slab_table(found)
     if not matter:
         table = without_matter(table)
-    return _core.Detector(
+    return _core.detector.Detector(
         bz=detector.field.bz,
         **table._asdict(),
         layers=layer_table(detector.layers),
         wires=_placed(detector.drift_chamber) if detector.drift_chamber else wire_table(None),
-        screening=getattr(_core.Screening, screening),
+        screening=getattr(_core.matter.Screening, screening),
         lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector) if gaps else [],
         field=compiled_field(detector),
@@ -405,7 +407,7 @@ def _made(detector: Detector, merge: bool, screening: str, foil: str, gaps: bool
 _kept, _shared = once(_made), lru_cache(maxsize=64)(_made)
 
 
-def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.Detector:
+def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "wentzel") -> _core.detector.Detector:
     """Return plane layers of matter, one behind the other, as a compiled detector without readout.
 
     Parameters
@@ -426,12 +428,12 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
         shell = Shell("stack", material.name, position, position + thickness, ENDLESS, material)
         found.append(Slab((shell,)))
         position += thickness
-    return _core.Detector(
+    return _core.detector.Detector(
         bz=0.0,
         **slab_table(found)._asdict(),
         layers=layer_table(()),
         wires=wire_table(None),
-        screening=getattr(_core.Screening, screening),
+        screening=getattr(_core.matter.Screening, screening),
     )
 
 
@@ -467,8 +469,8 @@ def wire_table(chamber: DriftChamber | None) -> Columns:
 
 
 @once
-def _placed(chamber: DriftChamber) -> _core.Chamber:
-    return _core.Chamber(wire_table(chamber))
+def _placed(chamber: DriftChamber) -> _core.detector.Chamber:
+    return _core.detector.Chamber(wire_table(chamber))
 
 
 def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placement: NDArray[np.float64]) -> Columns:

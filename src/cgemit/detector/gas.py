@@ -313,8 +313,8 @@ def elastic(material: Material, energy: Floats) -> tuple[Floats, Floats]:
 
 def electron_energies() -> Floats:
     """Return the core's grid of electron energies, (ELECTRON_POINTS,), keV."""
-    octave, part = np.divmod(np.arange(_core.ELECTRON_POINTS), _core.ELECTRON_STEPS)
-    return np.asarray(_core.ELECTRON_GRID_FIRST * 2.0**octave * (1 + part / _core.ELECTRON_STEPS))
+    octave, part = np.divmod(np.arange(_core.detector.ELECTRON_POINTS), _core.detector.ELECTRON_STEPS)
+    return np.asarray(_core.detector.ELECTRON_GRID_FIRST * 2.0**octave * (1 + part / _core.detector.ELECTRON_STEPS))
 
 
 def step_share(energy: Floats) -> Floats:
@@ -415,7 +415,9 @@ def gap_columns(layer: CgemLayer) -> dict[str, Any]:
     density = [sum(s.material.density * s.thickness for s in g) / sum(s.thickness for s in g) for g in groups]
     table = ionization_of(layer.gas)
     cut = slices(layer)
-    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
+    grid = _core.detector.LOSS_GRID_FIRST + _core.detector.LOSS_GRID_STEP * np.arange(
+        _core.detector.LOSS_POINTS, dtype=np.float64
+    )
     return {
         "layers": {
             "w_in": np.array([group[0].r_in - layer.r_gap_in for group in groups]),

@@ -32,10 +32,12 @@ class Row(NamedTuple):
 
 
 @once
-def _compiled(material: Material) -> _core.Material:
-    grid = _core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * np.arange(_core.LOSS_POINTS, dtype=np.float64)
+def _compiled(material: Material) -> _core.detector.Material:
+    grid = _core.detector.LOSS_GRID_FIRST + _core.detector.LOSS_GRID_STEP * np.arange(
+        _core.detector.LOSS_POINTS, dtype=np.float64
+    )
     elements = [(_first(one), moles * material.density * 0.1) for one, moles in material.elements()]
-    return _core.Material(
+    return _core.detector.Material(
         x0=material.x0, xi=material.xi_per_mm, log_term=material.log_term(grid),
         elements=[(id(one), one.z, one.a, per_mm) for one, per_mm in elements],
     )  # fmt: skip
@@ -56,7 +58,7 @@ def row_of(shells: Sequence[Shell]) -> Row:
     """
     _, _, r_in, r_out, half_lengths, materials = zip(*shells, strict=True)
     made = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
-    radius, spread, x0, xi, log_terms, elements = _core.sum_shells(
+    radius, spread, x0, xi, log_terms, elements = _core.detector.sum_shells(
         materials=[made[id(material)] for material in materials], r_in=r_in, r_out=r_out
     )
     numbers = (max(half_lengths), r_in[0], max(r_out), radius, spread, x0, xi)

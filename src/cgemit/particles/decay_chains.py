@@ -332,7 +332,9 @@ class Draws:
         place += _NODE * of.node
         blocks = -(-n // 4)
         words = [
-            _core.uniforms(self._seed, of.event, particle, _core.Purpose.gun, place, blocks * attempt + block)
+            _core.common.uniforms(
+                self._seed, of.event, particle, _core.common.Purpose.gun, place, blocks * attempt + block
+            )
             for block in range(blocks)
         ]
         return np.concatenate(words, axis=1)[:, :n]

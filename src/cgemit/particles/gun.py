@@ -300,7 +300,7 @@ class _Draws:
             return np.array(value.values)[self.event % len(value.values)]
         if isinstance(value, tuple):
             low, high = value
-            u = _core.uniforms(self.seed, self.event, self.particle, _core.Purpose.gun, place)[:, 0]
+            u = _core.common.uniforms(self.seed, self.event, self.particle, _core.common.Purpose.gun, place)[:, 0]
             return np.asarray(low + (high - low) * u)
         return np.full(len(self.event), value)
 
@@ -310,7 +310,7 @@ class _Draws:
 
     def normals(self, place: int) -> Array:
         """Return four standard normal numbers per particle, (n, 4)."""
-        return np.asarray(_core.normals(self.seed, self.event, self.particle, _core.Purpose.gun, place))
+        return np.asarray(_core.common.normals(self.seed, self.event, self.particle, _core.common.Purpose.gun, place))
 
 
 # Places of the random streams; part of every stream, so new ones go to the end.

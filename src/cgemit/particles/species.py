@@ -320,7 +320,7 @@ def _products(numbers: str, sign: int) -> tuple[Species, ...]:
 DECAYS: Mapping[int, tuple[DecayMode, ...]] = MappingProxyType(_modes())
 
 
-def decay_table(decays: Mapping[int, tuple[DecayMode, ...]], lifetimes: Mapping[int, float]) -> _core.DecayTable:
+def decay_table(decays: Mapping[int, tuple[DecayMode, ...]], lifetimes: Mapping[int, float]) -> _core.matter.DecayTable:
     """Return decays for the compiled simulation.
 
     Parameters
@@ -337,7 +337,7 @@ def decay_table(decays: Mapping[int, tuple[DecayMode, ...]], lifetimes: Mapping[
     parents = list(decays)
     modes = [(i, mode) for i, pdg in enumerate(parents) for mode in decays[pdg]]
     products = [(i, one) for i, (_, mode) in enumerate(modes) for one in mode.products]
-    return _core.DecayTable(
+    return _core.matter.DecayTable(
         species={
             "pdg": np.array(parents, np.int32),
             "mass": np.array([KNOWN[pdg].mass for pdg in parents]),
@@ -346,7 +346,7 @@ def decay_table(decays: Mapping[int, tuple[DecayMode, ...]], lifetimes: Mapping[
         modes={
             "species": np.array([i for i, _ in modes], np.int32),
             "fraction": np.array([mode.fraction for _, mode in modes]),
-            "spectrum": np.array([getattr(_core.DecaySpectrum, mode.spectrum) for _, mode in modes], np.int32),
+            "spectrum": np.array([getattr(_core.matter.DecaySpectrum, mode.spectrum) for _, mode in modes], np.int32),
         },
         products={
             "mode": np.array([i for i, _ in products], np.int32),
@@ -358,6 +358,6 @@ def decay_table(decays: Mapping[int, tuple[DecayMode, ...]], lifetimes: Mapping[
 
 
 @lru_cache(maxsize=1)
-def compiled_decays() -> _core.DecayTable:
+def compiled_decays() -> _core.matter.DecayTable:
     """Return `DECAYS`, with the lifetimes of ``particles.csv``, for the compiled simulation."""
     return decay_table(DECAYS, {pdg: KNOWN[pdg].lifetime for pdg in DECAYS})

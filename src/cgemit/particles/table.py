@@ -184,8 +184,8 @@ def not_transported(columns: Any) -> npt.NDArray[np.int8]:
     p = [np.abs(columns[f"p{axis}"]) for axis in "xyz"]
     reach = np.max([np.abs(columns[axis]) for axis in "xyz"], axis=0)
     out = (reach > FARTHEST) | (np.max(p, axis=0) > FASTEST)
-    status = np.where(out, _core.TransportStatus.out_of_range, 0)
-    status = np.where(np.max(p, axis=0) == 0, _core.TransportStatus.at_rest, status)
+    status = np.where(out, _core.common.TransportStatus.out_of_range, 0)
+    status = np.where(np.max(p, axis=0) == 0, _core.common.TransportStatus.at_rest, status)
     return np.where(columns["charge"] == 0, 0, status).astype(np.int8)
 
 
@@ -195,8 +195,8 @@ def _tell_not_transported(particles: Table) -> None:
         return
     status = not_transported(particles)
     what = {
-        _core.TransportStatus.at_rest: "at rest",
-        _core.TransportStatus.out_of_range: f"born beyond {FARTHEST:g} mm, or above {FASTEST:g} GeV/c",
+        _core.common.TransportStatus.at_rest: "at rest",
+        _core.common.TransportStatus.out_of_range: f"born beyond {FARTHEST:g} mm, or above {FASTEST:g} GeV/c",
     }
     parts = [f"{n} {text}" for one, text in what.items() if (n := int(np.count_nonzero(status == one)))]
     if parts:

@@ -70,13 +70,17 @@ class FitHits:
 
 
 def collect_hits(
-    detector: Detector | _core.Detector, candidates: Table, candidate_hits: Table, clusters: Table, wire_hits: Table
+    detector: Detector | _core.detector.Detector,
+    candidates: Table,
+    candidate_hits: Table,
+    clusters: Table,
+    wire_hits: Table,
 ) -> FitHits:
     """Collect the measurements of the candidates from the tables that they point into, in the order of the fit.
 
     Parameters
     ----------
-    detector : Detector or _core.Detector
+    detector : Detector or _core.detector.Detector
         Gives the order of layers from the beam line outward.
     candidates, candidate_hits, clusters, wire_hits : Table
 
@@ -101,8 +105,8 @@ def collect_hits(
     }
     # Clusters with a fixed error are fitted like clusters without strips.
     columns["clusters"]["size"] = clusters["size"] * (clusters["method"] == 0)
-    core = detector if isinstance(detector, _core.Detector) else compiled(detector)
-    return FitHits(**_core.collect_hits(core, **columns))
+    core = detector if isinstance(detector, _core.detector.Detector) else compiled(detector)
+    return FitHits(**_core.reconstruction.collect_hits(core, **columns))
 
 
 _READ = {

@@ -20,12 +20,12 @@ from cgemit.detector.readouts import (
     names_of,
     part_of,
 )
-from cgemit.reconstruction.candidates import XV_CLUSTER
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.reconstruction.clusterers.gaussian import PositionClusterer
 from cgemit.tables import Table
+from cgemit.tables.schema import XV_CLUSTER
 from cgemit.tables.table import made_by, merged
 
 #: Clusterers by the class of their readout; they serve the classes that extend it, too.

@@ -239,7 +239,7 @@ def chip_delays(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...
         slopes = np.sqrt(12 * (width**2 + pitch**2 / 12) * np.maximum(1 / seen**2 - 1 / gap**2, 0))
         clusters = float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * gap
         charges[i] = np.geomspace(1.02 * threshold, max(_LARGEST, 100 * threshold), _CHARGES)
-        delays[i] = _core.strip_delays(
+        delays[i] = _core.readout.strip_delays(
             chip=chip_arguments(readout),
             view={
                 "pitch": pitch, "gap": gap, "velocity": velocity, "duration": float(induction[i]),
@@ -313,7 +313,7 @@ def expected_errors(
     plane = {name: values.reshape(2, len(layers)) for name, values in inputs.planes.items()}
     for view, number in np.ndindex(2, len(layers)):
         slope = np.broadcast_to(slopes[number, view][:, None], numbers[number].shape)
-        variances[view, number] = _core.charge_variances(
+        variances[view, number] = _core.reconstruction.charge_variances(
             chip=inputs.chip, planes=inputs.planes, shares=inputs.shares,
             estimator=estimator, of_track=of_track, view=view, layer=number, slope=slope.ravel(),
             path=np.repeat(path, numbers.shape[2]), number=numbers[number].ravel(),

@@ -138,7 +138,7 @@ class FitSettings(SettingsData):
     def prior_in(self, detector: Detector) -> tuple[float, ...]:
         """Return the prior's standard deviations in the field of a detector, as `prior_sigma`."""
         bz = abs(detector.field.bz)
-        wider = _FIELD_OF_PRIOR / bz if _core.STRAIGHT_FIELD <= bz < _FIELD_OF_PRIOR else 1.0
+        wider = _FIELD_OF_PRIOR / bz if _core.kalman.STRAIGHT_FIELD <= bz < _FIELD_OF_PRIOR else 1.0
         return tuple(one * wider if i == _KAPPA else one for i, one in enumerate(self.prior_sigma))
 
     def hypotheses(self) -> tuple[str, ...]:
@@ -258,7 +258,7 @@ def fit(
     if len(names) > 1:
         hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
     radii = start_radii(candidates, settings)[candidate]
-    out = _core.fit(**core_arguments(detector, hits, mass, begin, settings, radii, charge))
+    out = _core.reconstruction.fit(**core_arguments(detector, hits, mass, begin, settings, radii, charge))
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder", "hypothesis") if name in candidates.meta}
@@ -291,7 +291,9 @@ def _start(given: npt.ArrayLike | None, n: int) -> Floats:
     return start
 
 
-def compiled_for_fit(detector: Detector, settings: FitSettings, kept: Detector | None = None) -> _core.Detector:
+def compiled_for_fit(
+    detector: Detector, settings: FitSettings, kept: Detector | None = None
+) -> _core.detector.Detector:
     """Return the compiled detector with the matter that the fit assumes for tracks from the radius of the settings.
 
     Parameters
@@ -307,7 +309,7 @@ def compiled_for_fit(detector: Detector, settings: FitSettings, kept: Detector |
     return core.beginning_at(settings.start_radius) if settings.start_radius else core
 
 
-def compiled_matter(detector: Detector, settings: FitSettings) -> _core.Detector:
+def compiled_matter(detector: Detector, settings: FitSettings) -> _core.detector.Detector:
     """Return the compiled detector with the matter that the fit assumes for tracks from the beam line.
 
     Parameters
@@ -342,7 +344,7 @@ def core_arguments(
     Returns
     -------
     dict of str to object
-        Arguments of ``_core.fit`` by name.
+        Arguments of ``_core.reconstruction.fit`` by name.
     """
     return {
         "detector": compiled_matter(detector, settings),
@@ -380,7 +382,7 @@ def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
 
 def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column, charge: Column) -> Columns:
     """Return the columns of the tracks table; `event`, `candidate` (row), and the `pdg` and `charge` assumed."""
-    no_helix = np.isin(out["status"], (_core.FitStatus.too_few_hits, _core.FitStatus.seed_failed))
+    no_helix = np.isin(out["status"], (_core.common.FitStatus.too_few_hits, _core.common.FitStatus.seed_failed))
     fitted = np.where(no_helix[:, None], np.nan, out["helix"])
     known = has_cov(out["status"])
     cov = np.where(known[:, None, None], out["cov"], np.nan)

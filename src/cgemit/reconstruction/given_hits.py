@@ -386,7 +386,7 @@ def hit_tables(
     wrong += drift_problems(detector, given["wire_hits"])
     rows = {(one.table, one.row) for one in wrong}  # X, V and their errors follow from wrong numbers there
     measured = _measurements(*columns)
-    listed, count = _core.hit_problems(compiled(detector), measured)
+    listed, count = _core.reconstruction.hit_problems(compiled(detector), measured)
     tables = np.where(measured["kind"] == HIT_WIRE, "wire_hits", "clusters")
     wrong += [
         one for i, *about in listed if (one := RowProblem(tables[i], int(measured["row"][i]), *about))[:2] not in rows

@@ -256,7 +256,10 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     along = np.cumsum(length, axis=1)[row, place]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)
     # Tracks may be unconstrained along z alone.
-    known = ~(helix.momentum_error(parameters, tracks["cov"], tracks["charge"]) > _core.MOST_ERROR * tracks["p"])
+    known = ~(
+        helix.momentum_error(parameters, tracks["cov"], tracks["charge"])
+        > _core.reconstruction.MOST_ERROR * tracks["p"]
+    )
     p = np.where(known, tracks["p"], tracks.meta.get("momentum", USUAL_MOMENTUM))
     slowness = np.hypot(1.0, _masses(candidates, tracks) / p) / LIGHT
     return np.asarray(along * slowness[track], np.float64)
@@ -529,7 +532,7 @@ class _Fits(NamedTuple):
         predicted = side * wires["drift"][hit] - residual
         certain = np.abs(predicted) > CERTAIN * wires["sigma"][hit]
         slope = np.where(certain, side * relation.velocity_at(np.abs(predicted)), 0.0)
-        good = np.isin(tracks["status"], (_core.FitStatus.ok, _core.FitStatus.unconstrained))
+        good = np.isin(tracks["status"], (_core.common.FitStatus.ok, _core.common.FitStatus.unconstrained))
         return cls(
             at=at, gradient=np.bincount(track, slope * residual / err**2, len(tracks)).astype(np.float64),
             info=np.where(good, np.bincount(track, (slope / err) ** 2, len(tracks)), 0.0),

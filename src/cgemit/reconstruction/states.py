@@ -20,8 +20,8 @@ from cgemit.tables import Table
 from cgemit.tables.check import table_problems
 from cgemit.tables.table import what
 
-Surface = _core.Surface
-StateStatus = _core.StateStatus
+Surface = _core.reconstruction.Surface
+StateStatus = _core.common.StateStatus
 Columns = dict[str, npt.ArrayLike]
 
 #: Surfaces of states by name; a number is the radius of a cylinder in mm.
@@ -33,7 +33,7 @@ USUAL_MOMENTUM = 1.0
 
 def state_columns(
     detector: Detector,
-    core: _core.Detector,
+    core: _core.detector.Detector,
     surfaces: tuple[float | str, ...],
     tracks: Table,
     mass: Floats,
@@ -48,7 +48,7 @@ def state_columns(
     ----------
     detector : Detector
         Detector that the fit assumed.
-    core : _core.Detector
+    core : _core.detector.Detector
         The same, compiled for it.
     surfaces : tuple of float or str
         Radii in mm, and names of `SurfaceName`.
@@ -74,7 +74,7 @@ def state_columns(
     """
     targets = _targets(detector, surfaces)
     used = {name: fitted[name] for name in ("used", "used_value", "used_variance")}
-    out = _core.states(
+    out = _core.reconstruction.states(
         core,
         hit_offsets=hits.hit_offsets,
         hits=hits.columns() | used,
@@ -162,11 +162,11 @@ def extrapolate(
     start = np.hypot(*(pivot[:, i] + table["dr"] * f(table["phi0"]) for i, f in enumerate((np.cos, np.sin))))
     mass = _masses(table, particle)
     charge = table["charge"] if particle is None else np.full(n, abs(HYPOTHESES[particle].charge), np.int8)
-    in_matter = _core.matter_momenta(
+    in_matter = _core.reconstruction.matter_momenta(
         kappa=table["kappa"], sigma=np.sqrt(table["cov"][:, 2, 2]), tanl=table["tanl"], charge=charge,
         momentum=momentum or float(table.meta.get("momentum", USUAL_MOMENTUM)), bz=detector.field.bz,
     )  # fmt: skip
-    out = _core.extrapolate(
+    out = _core.reconstruction.extrapolate(
         tuned(detector, screening, loss, bool(radiation)), pivot=pivot, helix=parameters,
         cov=table["cov"].reshape(-1, 25), mass=mass, charge=charge, matter_p=in_matter, radius=float(radius),
         share=shares_inside(detector, start), target_share=float(shares_inside(detector, np.array([radius]))[0]),
@@ -201,8 +201,8 @@ def _start_problems(
         problems.append(f"particle: got {particle!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
     if particle is None and fits and np.isnan(_masses(table, None)[np.isfinite(table["cov"][:, 0, 0])]).any():
         problems.append("particle: none given, and the mass of the table's hypothesis is not known")
-    if loss not in tuple(_core.CoreLoss.__members__):
-        problems.append(f"loss: got {loss!r}, expected one of {', '.join(_core.CoreLoss.__members__)}")
+    if loss not in tuple(_core.matter.CoreLoss.__members__):
+        problems.append(f"loss: got {loss!r}, expected one of {', '.join(_core.matter.CoreLoss.__members__)}")
     if momentum is not None and not 0 < number(momentum) < math.inf:
         problems.append(f"momentum: got {momentum!r}, expected a positive number, GeV/c")
     if screening not in SCREENINGS:

@@ -158,8 +158,8 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
     if pairs is None:
         several = known and len(np.unique(tracks["hypothesis"])) > 1 and _several(tracks)
         pairs = pair_tracks.unchecked(tracks, particles if several else None)
-        unknown = int(np.count_nonzero(tracks["status"] == _core.FitStatus.unconstrained))
-        if unknown and not np.any(tracks["status"] == _core.FitStatus.ok):
+        unknown = int(np.count_nonzero(tracks["status"] == _core.common.FitStatus.unconstrained))
+        if unknown and not np.any(tracks["status"] == _core.common.FitStatus.ok):
             problems.append(
                 f"pairs: none given, and the curvature of no track measures its charge ({unknown} tracks of status "
                 "unconstrained); expected the rows of pairs"
@@ -372,7 +372,7 @@ def fit_vertices(
     rows = rows[np.argsort(tracks["event"][rows[:, 0]], kind="stable")]
     kinds = [HYPOTHESES[name] for name in particles]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)[rows]
-    fitted = np.isin(tracks["status"], (_core.FitStatus.ok, _core.FitStatus.unconstrained))
+    fitted = np.isin(tracks["status"], (_core.common.FitStatus.ok, _core.common.FitStatus.unconstrained))
     good = np.all(fitted[rows], axis=1) & np.isfinite(parameters).all(axis=(1, 2))
     good &= np.isfinite(tracks["cov"][rows]).all(axis=(1, 2, 3))
     impact = tracks["cov"][rows][..., [[0], [3]], [0, 3]]  # which has an inverse
@@ -386,7 +386,7 @@ def fit_vertices(
     columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in found.items()}
     for name, value in found.items():
         columns[name][good] = np.where((status == 0).reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
-    unknown = np.any((tracks["status"] == _core.FitStatus.unconstrained)[rows], axis=1)
+    unknown = np.any((tracks["status"] == _core.common.FitStatus.unconstrained)[rows], axis=1)
     for name in _OF_MOMENTA:
         columns[name][unknown] = np.nan
     ends = {"status": np.full(len(rows), int(VertexStatus.no_track)), "iterations": np.zeros(len(rows), np.int64)}

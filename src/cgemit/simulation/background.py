@@ -197,27 +197,27 @@ def read_out(level: BackgroundLevel, digis: Table, wire_hits: Table, seed: int) 
     seed : int
     """
 
-    def drawn(table: Table, place: Channels, purpose: _core.Purpose) -> Floats:
+    def drawn(table: Table, place: Channels, purpose: _core.common.Purpose) -> Floats:
         return _uniforms(seed, table["event"], purpose, place)[:, 3]
 
     views = np.array([level.efficiency_x, level.efficiency_v])
     if np.any(views < 1):
         within = np.arange(len(digis)) - np.repeat(digis.offsets[:-1], np.diff(digis.offsets))
         place = np.where(digis["gid"] >= 0, digis["gid"], within)
-        is_read = drawn(digis, place, _core.Purpose.background_strip) < views[digis["view"]]
+        is_read = drawn(digis, place, _core.common.Purpose.background_strip) < views[digis["view"]]
         digis = digis[(digis["truth"] < 0) | is_read]
     if level.efficiency_wires < 1:
-        is_read = drawn(wire_hits, wire_hits["gid"], _core.Purpose.background_cell) < level.efficiency_wires
+        is_read = drawn(wire_hits, wire_hits["gid"], _core.common.Purpose.background_cell) < level.efficiency_wires
         wire_hits = wire_hits[(wire_hits["wire_truth"] < 0) | is_read]
     return digis, wire_hits
 
 
 def _uniforms(
-    seed: int, events: Rows, purpose: _core.Purpose, place: Channels | int = 0, block: int = 0
+    seed: int, events: Rows, purpose: _core.common.Purpose, place: Channels | int = 0, block: int = 0
 ) -> npt.NDArray[np.float64]:
     """Return four numbers in (0, 1) for each event and place, (n, 4) float64."""
     no_particle = np.zeros(len(events), np.int32)
-    return _core.uniforms(seed, events, no_particle, purpose, np.asarray(place).astype(np.uint32), block)
+    return _core.common.uniforms(seed, events, no_particle, purpose, np.asarray(place).astype(np.uint32), block)
 
 
 CELLS, STRIPS = 0, 1
@@ -234,7 +234,7 @@ def channel_kinds(gid: Channels, what: int) -> Floats:
     what : int
         `CELLS` or `STRIPS`.
     """
-    return _uniforms(0, np.zeros(len(gid), np.int64), _core.Purpose.channel_kind, gid, what)[:, 0]
+    return _uniforms(0, np.zeros(len(gid), np.int64), _core.common.Purpose.channel_kind, gid, what)[:, 0]
 
 
 def _probability(rate: npt.ArrayLike, window: float, factor: float) -> Floats:
@@ -264,7 +264,7 @@ def _with_cells(
         mean = np.sum(runs * np.arange(1, len(runs) + 1)) / np.sum(runs)
         # Runs overlap: a cell stays silent if no run that would reach it begins.
         begins = 1 - (1 - np.minimum(begins, 0.95)) ** (1 / mean)
-    cells = _core.background_cells(
+    cells = _core.simulation.background_cells(
         compiled(detector), wire_hits.events, begins=begins, lengths=lengths, window=window, hot=hot,
         hot_fires=hot_fires, seed=seed,
     )  # fmt: skip
@@ -313,7 +313,7 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     clusters[numbers] = rate * area * level.strip_window * 1e-6 * factor
     hot = gids[channel_kinds(gids, STRIPS) >= 1 - level.hot_strips]
     hot_fires = np.full(len(hot), _probability(level.hot_strip_rate, level.strip_window, factor))
-    strips = _core.background_strips(
+    strips = _core.simulation.background_strips(
         compiled(detector), digis.events, clusters=clusters, innermost=numbers[0], most_strips=level.cluster_strips,
         single=_probability([level.noise_x, level.noise_v], level.strip_window, factor).tolist(),
         charge=(level.charge_low, level.charge_high), window=level.strip_window,
@@ -322,7 +322,7 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     n = len(strips["event"])
     strips |= {"position": np.full(n, np.nan), "truth": np.full(n, -1), "n_truths": np.zeros(n)}
     columns = stacked(digis, strips)
-    order, first = _core.by_channel(columns["event"], columns["gid"], np.zeros(len(digis) + n))
+    order, first = _core.simulation.by_channel(columns["event"], columns["gid"], np.zeros(len(digis) + n))
     # Several digis of particles in one place are the digitization's own affair: only background gives way.
     kept = order < len(digis)
     kept[first] = True
@@ -346,7 +346,7 @@ def _like(given: Table, columns: Mapping[str, Any], rows: Rows) -> Table:
 def _earliest(wire_hits: Table, more: Mapping[str, Any]) -> Table:
     """Return wire hits with further ones, of which the earliest of each cell is kept."""
     columns = stacked(wire_hits, more)
-    order, first = _core.by_channel(columns["event"], columns["gid"], columns["drift_time"])
+    order, first = _core.simulation.by_channel(columns["event"], columns["gid"], columns["drift_time"])
     return _like(wire_hits, columns, order[first])
 
 
@@ -372,7 +372,7 @@ def start_times(events: npt.NDArray[np.int64], sigma: float, seed: int) -> Float
     seed : int
     """
     no_particle = np.zeros(len(events), np.int32)
-    return np.asarray(sigma * _core.normals(seed, events, no_particle, _core.Purpose.start_time, 0)[:, 0])
+    return np.asarray(sigma * _core.common.normals(seed, events, no_particle, _core.common.Purpose.start_time, 0)[:, 0])
 
 
 @checked("digis", "wire_hits")
@@ -431,7 +431,7 @@ def mix_events(
     tables = _stored(*_identity(other)) if isinstance(other, str | os.PathLike) else dict(other)
     _check(detector, tables)
     n = tables["wire_hits"].n_events
-    drawn = _uniforms(seed, wire_hits.events, _core.Purpose.mixed_event)
+    drawn = _uniforms(seed, wire_hits.events, _core.common.Purpose.mixed_event)
     chosen = (drawn[:, 0] * n).astype(np.int64)
     shift = offset[0] + (offset[1] - offset[0]) * drawn[:, 1]
     found = {
@@ -456,7 +456,7 @@ def _mixed_strips(given: Table, other: Table, chosen: Rows, shift: Floats) -> Ta
     more, shift = _of_others(given, other, "time", chosen, shift)
     columns = stacked(given, more | {"truth": np.full(len(shift), -1), "n_truths": np.zeros(len(shift))})
     # The first row of a strip is that of the given event.
-    order, first = _core.by_channel(columns["event"], columns["gid"], np.zeros(len(columns["event"])))
+    order, first = _core.simulation.by_channel(columns["event"], columns["gid"], np.zeros(len(columns["event"])))
     found = _like(given, columns, order[first])
     if not len(found):
         return found

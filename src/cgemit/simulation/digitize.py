@@ -212,7 +212,7 @@ def _seen(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
     efficiency = np.array([layer.efficiency for layer in detector.layers], np.float64)
     if (efficiency == 1).all():
         return _digis(detector, truths, steps, seed)
-    seen = _core.seen_crossings(compiled(detector), dict(truths.columns), efficiency=efficiency, seed=seed)
+    seen = _core.simulation.seen_crossings(compiled(detector), dict(truths.columns), efficiency=efficiency, seed=seed)
     return _of_some(truths, steps, seen, lambda truths, steps: _digis(detector, truths, steps, seed))
 
 
@@ -304,7 +304,7 @@ def read_out_wires(
         time = wire_truths["time"]
         delay = np.where((wire_truths["half_turn"] > 0) | ~np.isfinite(time), time, 0.0)
     relation = relation_of(detector)
-    hits = _core.read_out_wires(
+    hits = _core.simulation.read_out_wires(
         compiled(detector), {**wire_truths.columns, "delay": delay}, xt_distance=relation.distance,
         xt_time=relation.time, reveal_sides=reveal_sides, seed=seed,
     )  # fmt: skip

@@ -63,7 +63,7 @@ class BinaryDigitizer(Digitizer):
 
     def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the fired strips, see `Digitizer.digitize`."""
-        digis = _core.read_out_strips(
+        digis = _core.simulation.read_out_strips(
             compiled(group.detector), dict(truths.columns), dict(steps.columns), gain=self.readout.gain,
             w_values=w_values(group.detector), threshold=self.readout.threshold, gains=gain_table(group.detector),
         )  # fmt: skip
@@ -81,7 +81,7 @@ class ProjectionDigitizer(Digitizer):
     def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the strips above threshold, see `Digitizer.digitize`."""
         one = self.readout
-        digis = _core.read_out_profiles(
+        digis = _core.simulation.read_out_profiles(
             compiled(group.detector), dict(truths.columns), dict(steps.columns), gain=one.gain,
             w_values=w_values(group.detector), sigma=one.sigma, threshold=one.threshold, noise=one.noise, seed=seed,
             gains=gain_table(group.detector),
@@ -98,7 +98,7 @@ class PositionDigitizer(Digitizer):
         """Return the positions, see `Digitizer.digitize`."""
         rows = np.array([self.readout.precision(layer) for layer in group.layers], np.float64)
         columns = group.among_all(rows.reshape(-1, len(Precision._fields))).T
-        digis = _core.smear_positions(
+        digis = _core.simulation.smear_positions(
             compiled(group.detector), dict(truths.columns), gain=self.readout.gain, w_values=w_values(group.detector),
             errors=dict(zip(Precision._fields, columns.copy(), strict=True)), seed=seed,
         )  # fmt: skip
@@ -117,7 +117,7 @@ class AnalogDigitizer(Digitizer):
 
     def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the strips above threshold with charge and time, see `Digitizer.digitize`."""
-        digis = _core.read_out_analog(
+        digis = _core.simulation.read_out_analog(
             compiled(group.detector), dict(truths.columns), dict(steps.columns), **self.core_arguments(group),
             seed=seed, gains=gain_table(group.detector),
         )  # fmt: skip

@@ -316,12 +316,12 @@ class SlabResult:
     @property
     def through(self) -> npt.NDArray[np.bool_]:
         """Which particles came through, (n,) bool."""
-        return np.asarray(self.status == _core.TransportStatus.outside)
+        return np.asarray(self.status == _core.common.TransportStatus.outside)
 
     @property
     def measured(self) -> npt.NDArray[np.bool_]:
         """Whose loss is known, (n,) bool: it is not complete for particles that turned away."""
-        stopped = self.status == _core.TransportStatus.stopped
+        stopped = self.status == _core.common.TransportStatus.stopped
         return np.asarray(self.through | stopped)
 
     def to_dict(self) -> dict[str, Any]:
@@ -500,8 +500,8 @@ def slab(
     columns = _send(compiled_stack(cut, screening), order, n, seed, progress)
     columns["loss"] *= _KEV
     status = columns["status"]
-    through = status == _core.TransportStatus.outside
-    stopped = status == _core.TransportStatus.stopped
+    through = status == _core.common.TransportStatus.outside
+    stopped = status == _core.common.TransportStatus.stopped
     angles = angle_estimates(1e3 * columns["angle_1"][through], 1e3 * columns["angle_2"][through])
     simulated = {f"{name}_mrad": angles[name] for name in ANGLES}
     # The loss of a particle that turned away is not complete.
@@ -586,7 +586,7 @@ def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: s
     """Cut the layers for a particle with the mean energy loss."""
     whole = compiled_stack(parts, screening)
     mass, charge = order.kind.mass, float(order.kind.charge)
-    chi_c2 = _core.total_matter(whole, 0.0)[2]
+    chi_c2 = _core.matter.total_matter(whole, 0.0)[2]
     start = kinetic = math.hypot(order.p, mass) - mass
     found = []
     for number, (material, thickness) in enumerate(parts):
@@ -600,7 +600,7 @@ def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: s
             share = min(left, max(most, 1 / _MOST_PIECES))
             share = left if left - share < 1e-9 else share
             loss = min(rate * share, 0.999 * kinetic)
-            variance = _core.scattering_angle(
+            variance = _core.matter.scattering_angle(
                 whole, number, path=share, p=_momentum_of(kinetic - loss / 2, mass), mass=mass, charge=charge,
                 track_chi_c2=chi_c2,
             ) ** 2  # fmt: skip
@@ -614,10 +614,10 @@ def _momentum_of(kinetic: float, mass: float) -> float:
     return math.sqrt(kinetic * (kinetic + 2 * mass))
 
 
-def _mean_loss(whole: _core.Detector, number: int, p: float, kind: Species, x0: float) -> float:
+def _mean_loss(whole: _core.detector.Detector, number: int, p: float, kind: Species, x0: float) -> float:
     """Return the mean loss in a layer, GeV, at a momentum; of electrons with radiation, E x/X0."""
     charge = float(kind.charge)
-    collisions = _core.restricted_loss(whole, number, path=1.0, p=p, mass=kind.mass, charge=charge, cut=1e9)
+    collisions = _core.matter.restricted_loss(whole, number, path=1.0, p=p, mass=kind.mass, charge=charge, cut=1e9)
     light = abs(kind.pdg) == 11
     return collisions + (math.hypot(p, kind.mass) * x0 if light else 0.0)
 
@@ -658,14 +658,14 @@ def _angle(value: float) -> float | None:
 
 
 def _send(
-    stack: _core.Detector, order: _Order, n: int, seed: int, progress: Callable[[float], None] | None
+    stack: _core.detector.Detector, order: _Order, n: int, seed: int, progress: Callable[[float], None] | None
 ) -> dict[str, Any]:
     """Return the columns of the core; chunks let Ctrl-C through and do not change the result."""
     charge, parts = float(order.kind.charge), []
     for first in range(0, n, _CHUNK):
         count = min(_CHUNK, n - first)
         parts.append(
-            _core.through_slabs(
+            _core.simulation.through_slabs(
                 stack, p=order.p, mass=order.kind.mass, charge=charge, n=count, seed=seed, first=first
             )
         )  # fmt: skip

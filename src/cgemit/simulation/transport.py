@@ -22,7 +22,7 @@ Fluctuations = Literal["full", "gaussian", "off"]
 Foil = Literal["effective", "lattice"]
 HalfTurns = Annotated[int, Check(lambda value: 1 <= value <= 15, "a whole number from 1 to 15")]
 
-TransportStatus = _core.TransportStatus
+TransportStatus = _core.common.TransportStatus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ def transport(detector: Detector, particles: Table, settings: SimulateSettings, 
     -------
     dict of str to Table
     """
-    out = _core.simulate(**core_arguments(detector, particles, settings, seed))
+    out = _core.simulation.simulate(**core_arguments(detector, particles, settings, seed))
     cover = particles.cover
     status = not_transported(particles)
     if "time" in particles and particles["time"].any():
@@ -182,7 +182,7 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
     Returns
     -------
     dict of str to object
-        Arguments of ``_core.simulate`` by name.
+        Arguments of ``_core.simulation.simulate`` by name.
     """
     columns = {name: particles[name] for name in _COLUMNS}
     if (left_out := not_transported(particles) > 0).any():
@@ -196,7 +196,7 @@ def core_arguments(detector: Detector, particles: Table, settings: SimulateSetti
     return {
         "detector": core,
         "particles": columns,
-        "fluctuations": getattr(_core.Fluctuations, settings.fluctuations),
+        "fluctuations": getattr(_core.simulation.Fluctuations, settings.fluctuations),
         "deltas": settings.deltas,
         "steps": settings.steps,
         "decays": compiled_decays() if settings.decays else None,

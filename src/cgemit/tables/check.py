@@ -115,7 +115,7 @@ def _problems(table: Table, tables: dict[str, Table], channels: Channels | None,
     for column in (one for one in SCHEMAS[table.kind] if one.name not in ignore):
         problems += _link_problems(table, column, tables)
     if {"truths", "wire_truths"} & {table.kind} and "particles" in tables and "particle" not in ignore:
-        lost = _core.particle_rows(dict(tables["particles"].columns), dict(table.columns)) < 0
+        lost = _core.common.particle_rows(dict(tables["particles"].columns), dict(table.columns)) < 0
         problems += _noted(table, "particle", lost, "the number of a row of particles, in its event")
     return problems + (_channel_problems(table, channels, ignore) if channels is not None else [])
 
@@ -177,7 +177,7 @@ def _link_problems(table: Table, column: Column, tables: dict[str, Table]) -> li
         if name == table.kind:
             mine = table["view"] == XV
         rows = links if mine is None else np.where(mine, links, -1)
-        strange = _core.strange_link(rows, event, target["event"]) >= 0
+        strange = _core.common.strange_link(rows, event, target["event"]) >= 0
         needed = f"{table.kind}.{column.name}" in NEEDED_LINKS and bool((links < 0).any())
         if not strange and not needed:
             continue

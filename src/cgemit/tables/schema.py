@@ -14,7 +14,7 @@ from cgemit import _core
 from cgemit.base.arrays import Flags
 from cgemit.base.errors import did_you_mean
 
-FitStatus = _core.FitStatus
+FitStatus = _core.common.FitStatus
 
 HIT_X, HIT_V, HIT_WIRE, HIT_XV = 0, 1, 2, 3
 """Views of hits; a hit of view `HIT_XV` is an XV cluster with both its coordinates."""
@@ -475,8 +475,8 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **{
             f"{table}.status": (0, len(kind.__members__) - 1)
             for table, kind in (
-                ("particles", _core.TransportStatus), ("decays", _core.TransportStatus), ("tracks", FitStatus),
-                ("states", _core.StateStatus),
+                ("particles", _core.common.TransportStatus), ("decays", _core.common.TransportStatus),
+                ("tracks", FitStatus), ("states", _core.common.StateStatus),
             )
         },
     }
@@ -654,7 +654,7 @@ def check_columns(
 def _offsets(event: Array, n_events: int, first_event: int, events: Array | None) -> Array | None:
     """Return where the rows of each event begin, (n_events + 1,) int64, or None if there is a problem with them."""
     if events is None:
-        return _core.event_offsets(event, first_event, n_events)
+        return _core.common.event_offsets(event, first_event, n_events)
     if _event_problems(event, n_events, first_event, events):
         return None
     return np.searchsorted(event, np.append(events, events[-1] + 1))

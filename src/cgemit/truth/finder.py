@@ -60,7 +60,7 @@ def by_truth(
     charged = np.flatnonzero(have_flown(particles))
     candidate_of = np.full(len(particles), -1)  # of each particle; neutral ones have none
     candidate_of[charged] = np.arange(len(charged))
-    hits = _core.assign_hits(
+    hits = _core.truth.assign_hits(
         particles=dict(particles.columns), truths=dict(truths.columns), wire_truths=dict(wire_truths.columns),
         clusters=dict(clusters.columns), wire_hits=dict(wire_hits.columns), candidates=candidate_of,
         rows=own_clusters(detector, clusters, truths),

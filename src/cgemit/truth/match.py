@@ -100,7 +100,7 @@ def count_candidates(detector: Detector, tables: Mapping[str, Table]) -> Candida
 def _match_hits(tables: Mapping[str, Table]) -> dict[str, npt.NDArray[Any]]:
     names = ("particles", "truths", "wire_truths", "clusters", "wire_hits", "candidate_hits")
     columns = {name: dict(tables[name].columns) for name in names}
-    return _core.match_hits(**columns, candidates=len(tables["candidates"]))
+    return _core.truth.match_hits(**columns, candidates=len(tables["candidates"]))
 
 
 def _counts(detector: Detector, tables: Mapping[str, Table], of: Mapping[str, npt.NDArray[Any]]) -> CandidateCounts:
@@ -291,7 +291,7 @@ def match(
             np.divide(found, counts["left"].take(of), out=none.copy(), where=known) if len(particles) else none
         ),
     }
-    decayed = np.append(particles["status"] == _core.TransportStatus.decayed, False)
+    decayed = np.append(particles["status"] == _core.common.TransportStatus.decayed, False)
     columns["decayed"] = np.where(known, decayed.take(of), -1)
     other = tracks["hypothesis"] != np.append(np.abs(particles["pdg"]), 0).take(of)
     columns["other_mass"] = np.where(known, other, -1)
@@ -302,7 +302,7 @@ def match(
     return {"matches": Table("matches", columns, meta=tracks.meta, **tracks.cover)}
 
 
-def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> dict[str, Floats]:
+def compare(tracks: Table, particles: Table, row: Rows, field: _core.detector.Field) -> dict[str, Floats]:
     """Return true parameters, residuals and pulls of tracks whose particles are known.
 
     Parameters
@@ -310,7 +310,7 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.Field) -> d
     tracks, particles : Table
     row : ndarray, (tracks,) int64
         Row of the particle of each track; -1 none.
-    field : _core.Field
+    field : _core.detector.Field
         Field of the simulated detector.
 
     Returns
@@ -399,7 +399,7 @@ def link_problems(table: Table, link: str, target: Table) -> list[str]:
     list of str
     """
     rows, event = table[link], table["event"]
-    first = _core.strange_link(rows, event, target["event"])
+    first = _core.common.strange_link(rows, event, target["event"])
     if first < 0:
         return []
     if rows.max() >= len(target):
@@ -416,7 +416,10 @@ def _row_problems(
     n, limits = len(candidates), [len(clusters)] * (HIT_XV + 1)
     limits[HIT_WIRE] = len(wire_hits)
     of_candidates = (table["candidate"] for table in (tracks, candidate_hits))
-    if all(_core.outside(numbers, [n]) < 0 for numbers in of_candidates) and _core.outside(row, limits, view) < 0:
+    if (
+        all(_core.common.outside(numbers, [n]) < 0 for numbers in of_candidates)
+        and _core.common.outside(row, limits, view) < 0
+    ):
         return []
     of_wire = view == HIT_WIRE
     checks = [

@@ -21,7 +21,7 @@ def have_flown(particles: Table) -> Any:
     ----------
     particles : Table of kind "particles"
     """
-    return (particles["charge"] != 0) & (particles["status"] < _core.TransportStatus.at_rest)
+    return (particles["charge"] != 0) & (particles["status"] < _core.common.TransportStatus.at_rest)
 
 
 def particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
@@ -38,7 +38,7 @@ def particle_rows(particles: Table, truths: Table) -> npt.NDArray[np.int64]:
     ndarray, (truths,) int64
         Row of the particles table; -1 where it holds no such particle.
     """
-    found: npt.NDArray[np.int64] = _core.particle_rows(dict(particles.columns), dict(truths.columns))
+    found: npt.NDArray[np.int64] = _core.common.particle_rows(dict(particles.columns), dict(truths.columns))
     return found
 
 

@@ -236,6 +236,9 @@ void bind_analog(py::module_& module) {
              py::kw_only(), py::arg("drift"), py::arg("physics"), py::arg("chip"), py::arg("share_spread"),
              py::arg("way"), py::arg("induced"), py::arg("seed"), py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: electrons, avalanches, currents, chip.");
+}
+
+void bind_strip_delays(py::module_& module) {
   module.def("strip_delays", &delays, py::kw_only(), py::arg("chip"), py::arg("view"), py::arg("way"),
              py::arg("induced"), py::arg("tracks"), py::arg("slopes"), py::arg("charges"),
              "Delays (ns) with which a chip measures charges, after their mean arrival, (slopes, charges).");

@@ -186,18 +186,6 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
 }  // namespace
 
 void bind_detector(py::module_& module) {
-  py::native_enum<Screening>(module, "Screening", "enum.IntEnum",
-                             "Screening of nuclei by their electrons in multiple scattering.")
-      .value("wentzel", Screening::wentzel)
-      .value("moliere", Screening::moliere)
-      .finalize();
-  py::native_enum<CoreLoss>(module, "CoreLoss", "enum.IntEnum",
-                            "Energy loss subtracted by the fit, with its variance.")
-      .value("truncated", CoreLoss::truncated)
-      .value("mean", CoreLoss::mean)
-      .value("most_probable", CoreLoss::most_probable)
-      .finalize();
-  module.attr("STRAIGHT_FIELD") = straight_field;
   module.attr("LOSS_GRID_FIRST") = loss_grid_first;
   module.attr("LOSS_GRID_STEP") = loss_grid_step;
   module.attr("LOSS_POINTS") = loss_points;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "bindings/arrays.hpp"
+#include "common/particle_rows.hpp"
 
 namespace cgemit::bindings {
 
@@ -23,5 +24,9 @@ class Inputs {
   py::ssize_t rows_;
   py::list held_;
 };
+
+inline NumberedRows numbered(Inputs& in) {
+  return {in.get<std::int64_t>("event"), in.get<std::int32_t>("particle")};
+}
 
 }  // namespace cgemit::bindings

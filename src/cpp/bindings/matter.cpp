@@ -1,11 +1,15 @@
 #include "bindings/matter.hpp"
 
+#include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
+#include <utility>
+#include <vector>
+
 #include "bindings/arrays.hpp"
+#include "matter/decay_table.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
-#include "simulation/transport/slabs.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -13,27 +17,56 @@ using namespace cgemit::bindings;
 
 namespace {
 
-py::dict pass_slabs(const Detector& detector, double p, double mass, double charge, std::size_t n,
-                    std::uint64_t seed, std::uint64_t first) {
-  SlabResults out;
-  {
-    py::gil_scoped_release release;
-    out = through_slabs(detector, particle(p, mass, charge), first, n, seed);
+// Modes and products come as flat columns: mode i belongs to species[of_species[i]], product k to mode
+// of_mode[k].
+DecayTable make_decays(const py::dict& species, const py::dict& modes, const py::dict& products) {
+  const auto pdg = take<std::int32_t>(species, "pdg"), of_species = take<std::int32_t>(modes, "species"),
+             spectrum = take<std::int32_t>(modes, "spectrum"), of_mode = take<std::int32_t>(products, "mode"),
+             product_pdg = take<std::int32_t>(products, "pdg"),
+             charge = take<std::int32_t>(products, "charge");
+  const auto mass = take<double>(species, "mass"), lifetime = take<double>(species, "lifetime"),
+             fraction = take<double>(modes, "fraction"), product_mass = take<double>(products, "mass");
+  DecayTable table;
+  for (py::ssize_t i = 0; i < pdg.size(); ++i)
+    table.species.push_back({.pdg = pdg.at(i), .mass = mass.at(i), .lifetime = lifetime.at(i), .modes = {}});
+  std::vector<std::vector<DecayProduct>> products_of(static_cast<std::size_t>(of_species.size()));
+  for (py::ssize_t k = 0; k < of_mode.size(); ++k) {
+    products_of.at(static_cast<std::size_t>(of_mode.at(k)))
+        .push_back({.pdg = product_pdg.at(k), .charge = charge.at(k), .mass = product_mass.at(k)});
   }
-  std::vector<std::int8_t> status;
-  status.reserve(n);
-  for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));
-  py::dict columns;
-  columns["angle_1"] = to_numpy(std::move(out.angle_1));
-  columns["angle_2"] = to_numpy(std::move(out.angle_2));
-  columns["shift_1"] = to_numpy(std::move(out.shift_1));
-  columns["shift_2"] = to_numpy(std::move(out.shift_2));
-  columns["loss"] = to_numpy(std::move(out.loss));
-  columns["status"] = to_numpy(std::move(status));
-  return columns;
+  for (py::ssize_t i = 0; i < of_species.size(); ++i) {
+    table.species.at(static_cast<std::size_t>(of_species.at(i)))
+        .modes.push_back({.fraction = fraction.at(i),
+                          .spectrum = static_cast<DecaySpectrum>(spectrum.at(i)),
+                          .products = std::move(products_of[static_cast<std::size_t>(i)])});
+  }
+  for (const UnstableSpecies& one : table.species) check(one);
+  return table;
 }
 
 }  // namespace
+
+void bind_models(py::module_& module) {
+  py::native_enum<Screening>(module, "Screening", "enum.IntEnum",
+                             "Screening of nuclei by their electrons in multiple scattering.")
+      .value("wentzel", Screening::wentzel)
+      .value("moliere", Screening::moliere)
+      .finalize();
+  py::native_enum<CoreLoss>(module, "CoreLoss", "enum.IntEnum",
+                            "Energy loss subtracted by the fit, with its variance.")
+      .value("truncated", CoreLoss::truncated)
+      .value("mean", CoreLoss::mean)
+      .value("most_probable", CoreLoss::most_probable)
+      .finalize();
+  py::native_enum<DecaySpectrum>(module, "DecaySpectrum", "enum.IntEnum",
+                                 "Distribution of the products' momenta in the rest frame.")
+      .value("phase_space", DecaySpectrum::phase_space)
+      .value("semileptonic", DecaySpectrum::semileptonic)
+      .value("michel", DecaySpectrum::michel)
+      .finalize();
+  py::class_<DecayTable>(module, "DecayTable", "Species that decay in flight, and their modes.")
+      .def(py::init(&make_decays), py::arg("species"), py::arg("modes"), py::arg("products"));
+}
 
 void bind_matter(py::module_& module) {
   module.attr("CORE_CUT_XI") = core_cut_xi;
@@ -70,9 +103,4 @@ void bind_matter(py::module_& module) {
       py::arg("charge") = 1.0, py::arg("cut"),
       "Mean energy loss (GeV) in a slab by collisions below the cut (GeV); path in units of normal "
       "incidence.");
-  module.def(
-      "through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
-      py::arg("charge"), py::arg("n"), py::arg("seed"), py::arg("first") = 0,
-      "Pass n particles through the detector's slabs as plane layers at normal incidence, counting from "
-      "number `first`: columns angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
 }

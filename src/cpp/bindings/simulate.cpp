@@ -8,40 +8,15 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/interrupt.hpp"
+#include "bindings/matter.hpp"
 #include "kernels/kernels.hpp"
+#include "simulation/transport/slabs.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
 using namespace cgemit::bindings;
 
 namespace {
-
-// Modes and products come as flat columns: mode i belongs to species[of_species[i]], product k to mode
-// of_mode[k].
-DecayTable make_decays(const py::dict& species, const py::dict& modes, const py::dict& products) {
-  const auto pdg = take<std::int32_t>(species, "pdg"), of_species = take<std::int32_t>(modes, "species"),
-             spectrum = take<std::int32_t>(modes, "spectrum"), of_mode = take<std::int32_t>(products, "mode"),
-             product_pdg = take<std::int32_t>(products, "pdg"),
-             charge = take<std::int32_t>(products, "charge");
-  const auto mass = take<double>(species, "mass"), lifetime = take<double>(species, "lifetime"),
-             fraction = take<double>(modes, "fraction"), product_mass = take<double>(products, "mass");
-  DecayTable table;
-  for (py::ssize_t i = 0; i < pdg.size(); ++i)
-    table.species.push_back({.pdg = pdg.at(i), .mass = mass.at(i), .lifetime = lifetime.at(i), .modes = {}});
-  std::vector<std::vector<DecayProduct>> products_of(static_cast<std::size_t>(of_species.size()));
-  for (py::ssize_t k = 0; k < of_mode.size(); ++k) {
-    products_of.at(static_cast<std::size_t>(of_mode.at(k)))
-        .push_back({.pdg = product_pdg.at(k), .charge = charge.at(k), .mass = product_mass.at(k)});
-  }
-  for (py::ssize_t i = 0; i < of_species.size(); ++i) {
-    table.species.at(static_cast<std::size_t>(of_species.at(i)))
-        .modes.push_back({.fraction = fraction.at(i),
-                          .spectrum = static_cast<DecaySpectrum>(spectrum.at(i)),
-                          .products = std::move(products_of[static_cast<std::size_t>(i)])});
-  }
-  for (const UnstableSpecies& one : table.species) check(one);
-  return table;
-}
 
 py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluctuations fluctuations,
                       bool deltas, bool steps, const std::optional<DecayTable>& decays, int half_turns,
@@ -95,6 +70,26 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
   return result;
 }
 
+py::dict pass_slabs(const Detector& detector, double p, double mass, double charge, std::size_t n,
+                    std::uint64_t seed, std::uint64_t first) {
+  SlabResults out;
+  {
+    py::gil_scoped_release release;
+    out = through_slabs(detector, particle(p, mass, charge), first, n, seed);
+  }
+  std::vector<std::int8_t> status;
+  status.reserve(n);
+  for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));
+  py::dict columns;
+  columns["angle_1"] = to_numpy(std::move(out.angle_1));
+  columns["angle_2"] = to_numpy(std::move(out.angle_2));
+  columns["shift_1"] = to_numpy(std::move(out.shift_1));
+  columns["shift_2"] = to_numpy(std::move(out.shift_2));
+  columns["loss"] = to_numpy(std::move(out.loss));
+  columns["status"] = to_numpy(std::move(status));
+  return columns;
+}
+
 }  // namespace
 
 void bind_simulate(py::module_& module) {
@@ -104,17 +99,14 @@ void bind_simulate(py::module_& module) {
       .value("gaussian", Fluctuations::gaussian)
       .value("off", Fluctuations::off)
       .finalize();
-  py::native_enum<DecaySpectrum>(module, "DecaySpectrum", "enum.IntEnum",
-                                 "Distribution of the products' momenta in the rest frame.")
-      .value("phase_space", DecaySpectrum::phase_space)
-      .value("semileptonic", DecaySpectrum::semileptonic)
-      .value("michel", DecaySpectrum::michel)
-      .finalize();
-  py::class_<DecayTable>(module, "DecayTable", "Species that decay in flight, and their modes.")
-      .def(py::init(&make_decays), py::arg("species"), py::arg("modes"), py::arg("products"));
   module.def("simulate", &run_simulate, py::arg("detector"), py::arg("particles"), py::kw_only(),
              py::arg("fluctuations"), py::arg("deltas") = true, py::arg("steps") = false,
              py::arg("decays") = py::none(), py::arg("half_turns") = 1, py::arg("seed"),
              "Transport particles through the detector; columns of `truths`, `steps`, `wire_truths` and "
              "`decays`, and `status`.");
+  module.def(
+      "through_slabs", &pass_slabs, py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"),
+      py::arg("charge"), py::arg("n"), py::arg("seed"), py::arg("first") = 0,
+      "Pass n particles through the detector's slabs as plane layers at normal incidence, counting from "
+      "number `first`: columns angle_1, angle_2 (rad), shift_1, shift_2 (mm), loss (GeV), status.");
 }

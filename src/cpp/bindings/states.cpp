@@ -13,6 +13,7 @@
 #include "common/angles.hpp"
 #include "common/problems.hpp"
 #include "detector/start_radius.hpp"
+#include "kalman/group.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -290,6 +291,10 @@ void bind_states(py::module_& module) {
       "Momenta, GeV/c, with which tracks scatter and lose energy whose fitted kappa has an error `sigma` "
       "in a field of bz: 0 where kappa measures it, else the given one, or a larger one if kappa "
       "excludes it.");
+}
+
+void bind_helices(py::module_& module) {
+  module.attr("STRAIGHT_FIELD") = straight_field;
   module.def("change_pivot", &run_change_pivot, py::arg("helix"), py::arg("cov"), py::arg("step"),
              py::arg("bz"),
              "Helices and covariances (n, 25) at pivots moved by steps (n, 3), in fields (n,).");

@@ -10,9 +10,10 @@
 #include <algorithm>
 #include <optional>
 
-#include "bindings/arrays.hpp"
+#include "bindings/inputs.hpp"
 
 namespace py = pybind11;
+using namespace cgemit;
 using namespace cgemit::bindings;
 
 namespace {
@@ -75,6 +76,11 @@ std::int64_t outside(const Array<std::int64_t>& numbers, const std::vector<std::
   return -1;
 }
 
+py::array_t<std::int64_t> rows_of_particles(const py::dict& particles, const py::dict& crossings) {
+  Inputs of_particles(particles, "event"), of_crossings(crossings, "event");
+  return to_numpy(particle_rows(numbered(of_particles), numbered(of_crossings)));
+}
+
 // Lets glibc keep the memory of a chunk of events for the next one, at once as much as it would keep by
 // itself after large blocks have been freed. A page that the system gives anew costs as much as writing it
 // ten times.
@@ -96,4 +102,6 @@ void bind_tables(py::module_& module) {
              "First row that links to a row of another event, or to none of the target; -1 none.");
   module.def("outside", &outside, py::arg("numbers"), py::arg("limits"), py::arg("kinds") = py::none(),
              "First row whose number is not from 0 to the limit of its kind, excluded; -1 none.");
+  module.def("particle_rows", &rows_of_particles, py::arg("particles"), py::arg("crossings"),
+             "Row of the particle behind each crossing; -1 none.");
 }

@@ -10,12 +10,8 @@ using namespace cgemit::bindings;
 
 namespace {
 
-NumberedRows numbered(Inputs& in, bool crossings) {
-  NumberedRows rows{in.get<std::int64_t>("event"), in.get<std::int32_t>("particle")};
-  if (!crossings) return rows;
-  rows.daughter = in.get<std::int32_t>("daughter");
-  rows.half_turn = in.get<std::int8_t>("half_turn");
-  return rows;
+CrossingRows crossings_of(Inputs& in) {
+  return {numbered(in), in.get<std::int32_t>("daughter"), in.get<std::int8_t>("half_turn")};
 }
 
 // Links count rows below `size`; those below `least` are no rows.
@@ -29,18 +25,13 @@ Links links(Inputs& in, const char* name, std::size_t size, std::int64_t least =
   return found;
 }
 
-py::array_t<std::int64_t> rows_of_particles(const py::dict& particles, const py::dict& crossings) {
-  Inputs of_particles(particles, "event"), of_crossings(crossings, "event");
-  return to_numpy(particle_rows(numbered(of_particles, false), numbered(of_crossings, false)));
-}
-
 py::dict matched(const py::dict& particles, const py::dict& truths, const py::dict& wire_truths,
                  const py::dict& clusters, const py::dict& wire_hits, const py::dict& candidate_hits,
                  std::size_t candidates) {
   Inputs of_particles(particles, "event"), of_truths(truths, "event"), of_crossings(wire_truths, "event"),
       of_clusters(clusters, "event"), of_wires(wire_hits, "event"), of_hits(candidate_hits, "event");
-  const NumberedRows in_gaps = numbered(of_truths, true), in_cells = numbered(of_crossings, true);
-  const MatchInput input{.particles = numbered(of_particles, false),
+  const CrossingRows in_gaps = crossings_of(of_truths), in_cells = crossings_of(of_crossings);
+  const MatchInput input{.particles = numbered(of_particles),
                          .truths = in_gaps,
                          .wire_truths = in_cells,
                          .cluster_truth = links(of_clusters, "truth", in_gaps.event.size()),
@@ -76,8 +67,8 @@ py::dict assigned(const py::dict& particles, const py::dict& truths, const py::d
                   const Array<std::int64_t>& rows) {
   Inputs of_particles(particles, "event"), of_truths(truths, "event"), of_crossings(wire_truths, "event"),
       of_clusters(clusters, "event"), of_wires(wire_hits, "event");
-  const NumberedRows in_gaps = numbered(of_truths, true), in_cells = numbered(of_crossings, true);
-  const AssignInput input{.particles = numbered(of_particles, false),
+  const CrossingRows in_gaps = crossings_of(of_truths), in_cells = crossings_of(of_crossings);
+  const AssignInput input{.particles = numbered(of_particles),
                           .truths = in_gaps,
                           .wire_truths = in_cells,
                           .candidates = column(candidates, "candidates", py::len(particles["event"])),
@@ -102,8 +93,6 @@ py::dict assigned(const py::dict& particles, const py::dict& truths, const py::d
 }  // namespace
 
 void bind_truth(py::module_& module) {
-  module.def("particle_rows", &rows_of_particles, py::arg("particles"), py::arg("crossings"),
-             "Row of the particle behind each crossing; -1 none.");
   module.def(
       "match_hits", &matched, py::kw_only(), py::arg("particles"), py::arg("truths"), py::arg("wire_truths"),
       py::arg("clusters"), py::arg("wire_hits"), py::arg("candidate_hits"), py::arg("candidates"),

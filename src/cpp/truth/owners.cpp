@@ -21,7 +21,7 @@ struct Owner {
   std::int8_t half_turn = 0;
 };
 
-std::vector<Owner> owners(const NumberedRows& particles, const NumberedRows& crossings) {
+std::vector<Owner> owners(const NumberedRows& particles, const CrossingRows& crossings) {
   const std::vector<std::int64_t> rows = particle_rows(particles, crossings);
   std::vector<Owner> found(rows.size());
   for (std::size_t i = 0; i < rows.size(); ++i) {
@@ -57,32 +57,6 @@ void check_row(std::int64_t row, std::size_t size) {
 void check_rows(const MatchInput& in) {
   for (std::size_t i = 0; i < in.row.size(); ++i)
     check_row(in.row[i], in.view[i] == wire_view ? in.wire_truth.size() : in.cluster_truth.size());
-}
-
-std::vector<std::int64_t> particle_rows(const NumberedRows& particles, const NumberedRows& crossings) {
-  const std::size_t n = particles.event.size();
-  std::vector<std::int64_t> rows(crossings.event.size(), -1);
-  std::size_t begin = 0, end = 0;  // particles of the event
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    const std::int64_t event = crossings.event[i];
-    const std::int32_t wanted = crossings.particle[i];
-    if (i > 0 && event == crossings.event[i - 1] && wanted == crossings.particle[i - 1]) {
-      rows[i] = rows[i - 1];
-      continue;
-    }
-    if (i == 0 || event != crossings.event[i - 1]) {
-      for (begin = end; begin < n && particles.event[begin] < event;) ++begin;
-      for (end = begin; end < n && particles.event[end] == event;) ++end;
-    }
-    // Particles are usually numbered in the order of their rows.
-    const auto numbers = particles.particle.subspan(begin, end - begin);
-    const auto guess = static_cast<std::size_t>(std::max(wanted, 0));
-    const bool there = guess < numbers.size() && numbers[guess] == wanted;
-    const auto at =
-        there ? guess : static_cast<std::size_t>(std::ranges::find(numbers, wanted) - numbers.begin());
-    if (at < numbers.size()) rows[i] = static_cast<std::int64_t>(begin + at);
-  }
-  return rows;
 }
 
 namespace {

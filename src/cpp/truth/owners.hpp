@@ -6,24 +6,21 @@
 #include <span>
 #include <vector>
 
+#include "common/particle_rows.hpp"
+
 namespace cgemit {
 
 using Links = std::span<const std::int64_t>;
 
-// Rows by event, each with the number of a particle in its event. `daughter` and `half_turn` are of
-// crossings.
-struct NumberedRows {
-  std::span<const std::int64_t> event;
-  std::span<const std::int32_t> particle;
-  std::span<const std::int32_t> daughter = {};
-  std::span<const std::int8_t> half_turn = {};
+// Crossings: rows by event with the number of a particle, the daughter and the half turn that left each.
+struct CrossingRows : NumberedRows {
+  std::span<const std::int32_t> daughter;
+  std::span<const std::int8_t> half_turn;
 };
 
-// Row of the particle behind each crossing.
-std::vector<std::int64_t> particle_rows(const NumberedRows& particles, const NumberedRows& crossings);
-
 struct MatchInput {
-  NumberedRows particles, truths, wire_truths;
+  NumberedRows particles;
+  CrossingRows truths, wire_truths;
   Links cluster_truth, wire_truth;            // of clusters and wire hits
   std::span<const std::int8_t> cluster_view;  // 0 X, 1 V, 2 XV
   Links x_cluster;                            // of XV clusters
@@ -60,7 +57,8 @@ struct HitsOfParticles {
 // a layer in the order of their tables. `candidates`: of each particle, below their number. Hits of daughters
 // and of other half turns than the first are left out. `clusters`: rows of the clusters that count.
 struct AssignInput {
-  NumberedRows particles, truths, wire_truths;
+  NumberedRows particles;
+  CrossingRows truths, wire_truths;
   Links candidates;
   Links clusters;
   Links cluster_truth, wire_truth;

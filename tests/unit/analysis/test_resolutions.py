@@ -9,7 +9,7 @@ import pytest
 from scipy import stats as scipy_stats
 
 import cgemit as cg
-from cgemit._core import FitStatus
+from cgemit._core.common import FitStatus
 from cgemit.analysis.curves import track_spectrum
 from cgemit.analysis.quantities import NAMES, QUANTITIES
 from cgemit.analysis.resolutions import FORMS, fit_form, mean_sine

@@ -111,7 +111,7 @@ def test_the_command_line_says_what_is_wrong_with_the_environment(value: str) ->
 
 def test_a_file_that_is_no_library_of_kernels() -> None:
     with pytest.raises(RuntimeError):
-        _core.use_kernels(__file__)
+        _core.kernels.use_kernels(__file__)
 
 
 @pytest.mark.parametrize("name", ["besiii-cgem-design", "cepc-like"])  # the second has an error of momenta of its own
@@ -198,11 +198,11 @@ def test_lanes_differ_no_more_than_the_last_digit_does(sides: bool, gun: str) ->
     result = fitted("scalar", gun, sides=sides)
     hits = hits_of_result(result)
     arguments = core_arguments(result.detector, hits, result.particles["mass"], np.empty((0, 5)), FitSettings())
-    plain = _core.fit(**arguments)
+    plain = _core.reconstruction.fit(**arguments)
     values = np.nextafter(hits.value, np.where(np.arange(len(hits.value)) % 2, np.inf, -np.inf))
-    nudged = _core.fit(**arguments | {"hits": arguments["hits"] | {"value": values}})
+    nudged = _core.reconstruction.fit(**arguments | {"hits": arguments["hits"] | {"value": values}})
     isa.use(isa.available()[-1])
-    lanes = _core.fit(**arguments)
+    lanes = _core.reconstruction.fit(**arguments)
     ok = plain["status"] == 0
     sigma = np.sqrt(np.diagonal(plain["cov"], axis1=1, axis2=2)[ok])
     near, far = (np.max(np.abs(other["helix"] - plain["helix"])[ok] / sigma, axis=1) for other in (lanes, nudged))

@@ -128,12 +128,12 @@ def test_stages_at_work_on_any_thread_are_stopped():
         "covariance": lambda: cg.analytic(found.detector, "mu-", p=[0.5, 1.0]),
     }
     for call in calls.values():
-        _core.stop_stages(True)
+        _core.common.stop_stages(True)
         try:
             with ThreadPoolExecutor(1) as pool:
                 assert isinstance(pool.submit(call).exception(), KeyboardInterrupt)
             with pytest.raises(KeyboardInterrupt):
                 call()
         finally:
-            _core.stop_stages(False)
+            _core.common.stop_stages(False)
         call()

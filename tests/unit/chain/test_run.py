@@ -483,13 +483,13 @@ def test_radiation_length_of_the_chamber_gas():
 def test_weights_of_the_sides_of_a_wire(monkeypatch):
     """The two sides weigh as the likelihoods of the track fitted without the hit: tanh(drift predicted / variance)."""
     kept = {}
-    real = _core.fit
+    real = _core.reconstruction.fit
 
     def keep(detector, **given):
         kept.update(given=given, out=real(detector, **given))
         return kept["out"]
 
-    monkeypatch.setattr(_core, "fit", keep)
+    monkeypatch.setattr(_core.reconstruction, "fit", keep)
     fit = FitSettings(residuals=True, states=("origin",), outlier_pull=0)
     run(DESIGN, Gun("mu-", p=1.0, cos_theta=0.1), 300, settings=Settings(fit=fit), workers=1)
     out, hits = kept["out"], kept["given"]["hits"]

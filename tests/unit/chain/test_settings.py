@@ -264,14 +264,14 @@ OF_FINDER = {
 
 def test_the_finder_assumes_matter_and_cluster_errors_of_the_fit(monkeypatch: pytest.MonkeyPatch, folder: str) -> None:
     """By the scores of candidates, in which each number of matter and errors shows: radiation only for electrons."""
-    hits, scores, search = tables((), folder, "cluster"), [], ckf._core.find_tracks
+    hits, scores, search = tables((), folder, "cluster"), [], ckf._core.reconstruction.find_tracks
 
     def with_scores(*given: Any, **named: Any) -> Any:
         found = search(*given, **named)
         scores.append(found["score"].tobytes())
         return found
 
-    monkeypatch.setattr(ckf._core, "find_tracks", with_scores)
+    monkeypatch.setattr(ckf._core.reconstruction, "find_tracks", with_scores)
     cases = {key.removeprefix("fit."): case.value for key, case in CASES.items() if key.startswith("fit.")}
     seen = set()
     for name, value in cases.items():

@@ -511,9 +511,9 @@ def test_the_budget_is_that_of_the_last_variant(samples: int) -> None:
     tracks, thick = base._tracks, DESIGN.with_overrides({"cgem.*.foil.Kapton.thickness": "x2"})
     columns = {name: getattr(tracks, name) for name in ("phi", "kappa", "tanl", "mass", "scatters", "phases", "model")}
 
-    def budget(detector: cg.Detector, variants: list[_core.Detector]) -> np.ndarray:
+    def budget(detector: cg.Detector, variants: list[_core.detector.Detector]) -> np.ndarray:
         core = compiled_for_fit(detector, tracks.fit)
-        return _core.covariances(core, **columns, samples=samples, budget=True, variants=variants)["budget"]
+        return _core.covariance.covariances(core, **columns, samples=samples, budget=True, variants=variants)["budget"]
 
     alone = budget(DESIGN, [])
     np.testing.assert_allclose(budget(DESIGN, [compiled_for_fit(DESIGN, tracks.fit)]), alone, rtol=1e-9, atol=1e-20)

@@ -44,7 +44,7 @@ def test_slabs_fill_space_without_gap_or_overlap(name: str, merge: bool) -> None
     assert np.all(table["spread"] > 0)
     assert np.all(table["x0"] > 0)
     assert np.all(table["xi"] > 0)
-    assert log_terms.shape == (len(table["x0"]), _core.LOSS_POINTS)
+    assert log_terms.shape == (len(table["x0"]), _core.detector.LOSS_POINTS)
     assert np.all(np.isfinite(log_terms))
     assert composition["first"].shape == (len(table["x0"]) + 1,)
     assert np.all(np.diff(composition["first"]) > 0)
@@ -108,7 +108,7 @@ def test_beam_pipe_xi_by_hand() -> None:
     table, log_terms, composition = slab_table(slabs(DESIGN))
     assert table["xi"][0] == pytest.approx(0.1535375e-3 * (gold + beryllium + oil), rel=1e-3)
     # At beta gamma = 1, below the density effect, the logarithm is the mean of -2 ln I - 2 C/Z.
-    one = round(-_core.LOSS_GRID_FIRST / _core.LOSS_GRID_STEP)
+    one = round(-_core.detector.LOSS_GRID_FIRST / _core.detector.LOSS_GRID_STEP)
     oil_excitation = math.exp((108 * math.log(81) + 38 * math.log(19.2)) / 146)
 
     def shells(ev: float) -> float:
@@ -228,7 +228,7 @@ def arguments():
     """Return the arguments of the core's detector."""
     return {
         "bz": -1.0, **slab_table(slabs(DETECTOR))._asdict(), "layers": compiling.layer_table(DETECTOR.cgem),
-        "wires": compiling.wire_table(DETECTOR.drift_chamber), "screening": _core.Screening.wentzel,
+        "wires": compiling.wire_table(DETECTOR.drift_chamber), "screening": _core.matter.Screening.wentzel,
     }  # fmt: skip
 
 
@@ -242,7 +242,7 @@ def changed(table, column, value, row=0):
 
 
 def test_the_arguments_are_right_unchanged():
-    assert _core.Detector(**arguments()).n_wire_layers == 35
+    assert _core.detector.Detector(**arguments()).n_wire_layers == 35
 
 
 @pytest.mark.parametrize(
@@ -272,7 +272,7 @@ def test_the_arguments_are_right_unchanged():
 )
 def test_numbers_of_detectors(table, column, value, message):
     with pytest.raises(ValueError, match=message):
-        _core.Detector(**changed(table, column, value))
+        _core.detector.Detector(**changed(table, column, value))
 
 
 def test_rows_of_components_stay_within():
@@ -280,10 +280,10 @@ def test_rows_of_components_stay_within():
     first = given["composition"]["first"].copy()
     first[-1] += 1000
     with pytest.raises(IndexError):
-        _core.Detector(**given | {"composition": given["composition"] | {"first": first}})
+        _core.detector.Detector(**given | {"composition": given["composition"] | {"first": first}})
     first[1] = 10**6
     with pytest.raises(ValueError, match="not to decrease"):
-        _core.Detector(**given | {"composition": given["composition"] | {"first": first}})
+        _core.detector.Detector(**given | {"composition": given["composition"] | {"first": first}})
 
 
 def test_all_problems_are_listed():
@@ -291,7 +291,7 @@ def test_all_problems_are_listed():
     given["wires"]["sigma"] = np.full(35, np.nan)
     given["bz"] = np.nan
     with pytest.raises(ValueError, match="detector:") as caught:
-        _core.Detector(**given)
+        _core.detector.Detector(**given)
     assert len(str(caught.value).splitlines()) == 1 + 1 + 1 + 35
 
 
@@ -317,23 +317,23 @@ AXES = [(0.0, 10.0, 4), (-10.0, 10.0, 4)]
     ],
 )
 def test_fields(change, message):
-    assert _core.Field(**FIELD, axes=AXES, coefficients=np.zeros(72)).bz == -1
+    assert _core.detector.Field(**FIELD, axes=AXES, coefficients=np.zeros(72)).bz == -1
     with pytest.raises(ValueError, match=message):
-        _core.Field(**FIELD | {"coefficients": np.zeros(3)} | change)
+        _core.detector.Field(**FIELD | {"coefficients": np.zeros(3)} | change)
 
 
 @pytest.fixture(scope="module")
 def calls():
     """Return the arguments with which the fit calls `states` and `seeds`."""
     kept = {}
-    states = _core.states
+    states = _core.reconstruction.states
 
     def keep(detector, **given):
         kept["states"] = {"detector": detector, **given}
         return states(detector, **given)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_core, "states", keep)
+        patch.setattr(_core.reconstruction, "states", keep)
         run(DETECTOR, Gun("mu-", p=0.5, theta=1), 6, settings=Settings(fit=FitSettings(states=("origin", "hits"))))
     names = ("detector", "hit_offsets", "hits", "mass")
     kept["seeds"] = {name: kept["states"][name] for name in names} | {"source": _core._testing.SeedFrom.wires}
@@ -372,7 +372,7 @@ def with_nan(array, row=0):
 )
 def test_states_and_seeds(calls, name, argument, change, message):
     given = calls[name]
-    call = _core.states if name == "states" else _core._testing.seeds
+    call = _core.reconstruction.states if name == "states" else _core._testing.seeds
     call(**given)
     with pytest.raises(ValueError, match=message):
         call(**given | {argument: change(given[argument])})
@@ -383,10 +383,10 @@ def test_targets_of_states(calls):
     for change, message in (
         ({"radius": np.array([np.nan, 0.0])}, "radius"), ({"share": np.array([2.0, 0.0])}, "share"),
         ({"surface": np.array([9, 0], np.int8)}, "no such surface"),
-        ({"surface": np.array([_core.Surface.cylinder, 0], np.int8)}, "above 0 for a cylinder"),
+        ({"surface": np.array([_core.reconstruction.Surface.cylinder, 0], np.int8)}, "above 0 for a cylinder"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
-            _core.states(**given | {"targets": given["targets"] | change})
+            _core.reconstruction.states(**given | {"targets": given["targets"] | change})
 
 
 def test_a_drift_is_not_longer_than_a_cell():
@@ -405,15 +405,15 @@ def test_a_drift_is_not_longer_than_a_cell():
 
 def test_shells_need_a_material_and_radii_each() -> None:
     with pytest.raises(ValueError, match="sum_shells: expected at least one material, with r_in and r_out for each"):
-        _core.sum_shells(materials=[], r_in=[], r_out=[])
+        _core.detector.sum_shells(materials=[], r_in=[], r_out=[])
     air = _compiled(DETECTOR.air)
     with pytest.raises(ValueError, match="with r_in and r_out for each"):
-        _core.sum_shells(materials=[air], r_in=[1.0, 2.0], r_out=[2.0])
+        _core.detector.sum_shells(materials=[air], r_in=[1.0, 2.0], r_out=[2.0])
     with pytest.raises(ValueError, match="got None, expected a Material"):
-        _core.sum_shells(materials=[None], r_in=[1.0], r_out=[2.0])  # type: ignore[list-item]
+        _core.detector.sum_shells(materials=[None], r_in=[1.0], r_out=[2.0])  # type: ignore[list-item]
 
 
 def test_wires_of_a_chamber_are_checked_before_they_are_placed() -> None:
     wires = compiling.wire_table(DETECTOR.drift_chamber)
     with pytest.raises(ValueError, match=r"wires\[0\] cells: got 0, expected 1 to"):
-        _core.Chamber(wires | {"cells": np.zeros_like(wires["cells"])})
+        _core.detector.Chamber(wires | {"cells": np.zeros_like(wires["cells"])})

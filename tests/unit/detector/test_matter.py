@@ -63,9 +63,9 @@ def test_core_angle_by_hand():
         v = 25 * chi_c / (times * chi_a)
         by_hand = math.sqrt(chi_c / (1 + 0.98**2) * ((1 + v) / v * math.log(1 + v) - 1))
         core = slab_detector([(BERYLLIUM, 1.4, 50.0)], screening=screening)
-        total = _core.total_matter(core, 0.0)[2]
+        total = _core.matter.total_matter(core, 0.0)[2]
         assert total == pytest.approx(chi_c * 0.98896, rel=2e-3)
-        found = _core.scattering_angle(core, 0, path=1.0, p=1.0, mass=MUON, track_chi_c2=total)
+        found = _core.matter.scattering_angle(core, 0, path=1.0, p=1.0, mass=MUON, track_chi_c2=total)
         assert found == pytest.approx(by_hand, rel=1e-3)
         assert found == pytest.approx(angle, rel=2e-3)
 
@@ -76,7 +76,7 @@ def test_core_angle(matter, thickness, p, mass, screening):
     """The angle is that of Lynch and Dahl with the elements' chi_c and chi_a, alone or as a share of a whole track."""
     core = slab_detector([(matter, thickness, 50.0)], screening=screening)
     for times in (1, 40):
-        found = _core.scattering_angle(
+        found = _core.matter.scattering_angle(
             core, 0, path=1.0, p=p, mass=mass, track_chi_c2=times * chi_c2([(matter, thickness)])
         )
         expected = core_angle([(matter, thickness)], p, mass, screening, total=[(matter, times * thickness)])
@@ -96,9 +96,9 @@ def test_alpha_angle_by_hand():
     variance += 0.2 * (math.log(min(25 * chi_c, 2 * 0.511e-3 * 0.2942e-3 / 4) / chi_a) - 1)
     by_hand = math.sqrt(chi_c / (1 + 0.98**2) * variance)
     core = slab_detector([(BERYLLIUM, 1.4, 50.0)], screening="moliere")
-    total = _core.total_matter(core, 0.0)[2]
+    total = _core.matter.total_matter(core, 0.0)[2]
     found = {
-        charge: _core.scattering_angle(core, 0, path=1.0, p=2.0, mass=ALPHA, charge=charge, track_chi_c2=total)
+        charge: _core.matter.scattering_angle(core, 0, path=1.0, p=2.0, mass=ALPHA, charge=charge, track_chi_c2=total)
         for charge in (1, 2, -2)
     }
     assert found[2] == found[-2] == pytest.approx(by_hand, rel=1e-3)
@@ -117,7 +117,7 @@ def test_core_angle_of_charges(charge, screening):
     for matter, thickness, p in ((BERYLLIUM, 1.4, 3.0), (COPPER, 0.014, 8.0), (KAPTON, 0.3, 30.0)):
         total = chi_c2([(matter, thickness)])
         core = slab_detector([(matter, thickness, 50.0)], screening=screening)
-        found = _core.scattering_angle(core, 0, path=1.0, p=p, mass=ALPHA, charge=charge, track_chi_c2=total)
+        found = _core.matter.scattering_angle(core, 0, path=1.0, p=p, mass=ALPHA, charge=charge, track_chi_c2=total)
         assert found == pytest.approx(core_angle([(matter, thickness)], p, ALPHA, screening, charge=charge), rel=1e-3)
 
 
@@ -126,7 +126,7 @@ def test_drawn_angles_of_alphas(charge):
     """Half widths of simulated angles are those of single scatters with the charge, and twice those of unit charge."""
     fractions = np.array([0.6827, 0.98])
     core = slab_detector([(COPPER, 0.1, 50.0)])
-    out = _core.through_slabs(core, p=3.0, mass=ALPHA, charge=charge, n=40_000, seed=1)
+    out = _core.simulation.through_slabs(core, p=3.0, mass=ALPHA, charge=charge, n=40_000, seed=1)
     found = np.quantile(np.abs(np.concatenate([out["angle_1"], out["angle_2"]])), fractions)
     exact = [exact_quantiles(COPPER.moles(0.1), 3.0, ALPHA, "wentzel", fractions, charge=z) for z in (1, 2)]
     assert found == pytest.approx(exact[charge - 1], rel=0.015)
@@ -138,17 +138,17 @@ def test_core_angle_of_a_mixture_is_that_of_its_elements():
     parts = [(BERYLLIUM, 1.4, 30.0), (KAPTON, 0.3, 60.0), (COPPER, 0.03, 90.0)]
     core = slab_detector(parts)
     whole = [part[:2] for part in parts]
-    total = _core.total_matter(core, 0.0)[2]
+    total = _core.matter.total_matter(core, 0.0)[2]
     assert total == pytest.approx(chi_c2(whole), rel=1e-9)
-    found = [_core.scattering_angle(core, i, path=1.0, p=0.3, mass=PION, track_chi_c2=total) for i in range(3)]
+    found = [_core.matter.scattering_angle(core, i, path=1.0, p=0.3, mass=PION, track_chi_c2=total) for i in range(3)]
     assert math.hypot(*found) == pytest.approx(core_angle(whole, 0.3, PION), rel=5e-4)
 
 
 def test_electrons_turn_slow_protons_less():
     """Where the recoil of electrons ends inside the core, they count up to there: a fifth of beryllium's matter."""
     core, p = slab_detector([(BERYLLIUM, 1.4, 50.0)]), 0.1
-    total = _core.total_matter(core, 0.0)[2]
-    found = _core.scattering_angle(core, 0, path=1.0, p=p, mass=PROTON, track_chi_c2=total)
+    total = _core.matter.total_matter(core, 0.0)[2]
+    found = _core.matter.scattering_angle(core, 0, path=1.0, p=p, mass=PROTON, track_chi_c2=total)
     assert found == pytest.approx(core_angle([(BERYLLIUM, 1.4)], p, PROTON), rel=1e-3)
     per_beta2 = 1 + (PROTON / p) ** 2
     v = 25 * total * per_beta2 / screening_squared(4, 1 / per_beta2, "wentzel")
@@ -159,10 +159,10 @@ def test_electrons_turn_slow_protons_less():
 def test_scattering_is_additive(pieces):
     """The variance of a whole is the sum over its pieces; with a logarithm for each piece it would not be."""
     whole, piece = slab_detector([(KAPTON, 5.0, 50.0)]), slab_detector([(KAPTON, 5.0 / pieces, 50.0)])
-    total, part = _core.total_matter(whole, 0.0)[2], _core.total_matter(piece, 0.0)[2]
+    total, part = _core.matter.total_matter(whole, 0.0)[2], _core.matter.total_matter(piece, 0.0)[2]
 
     def angle(core, track):
-        return _core.scattering_angle(core, 0, path=1.0, p=0.5, mass=MUON, track_chi_c2=track)
+        return _core.matter.scattering_angle(core, 0, path=1.0, p=0.5, mass=MUON, track_chi_c2=track)
 
     assert pieces * angle(piece, total) ** 2 == pytest.approx(angle(whole, total) ** 2, rel=1e-12)
     assert pieces * angle(piece, part) ** 2 < 0.95 * angle(whole, total) ** 2
@@ -180,9 +180,9 @@ def shared(weights):
 
 def angles(core, track=None):
     """Return the angles of three slabs for a muon of 1 GeV/c."""
-    track = track or _core.total_matter(core, 0.0)[2]
+    track = track or _core.matter.total_matter(core, 0.0)[2]
     return np.array([
-        _core.scattering_angle(core, i, path=1.0, p=1.0, mass=MUON, track_chi_c2=track) for i in range(3)
+        _core.matter.scattering_angle(core, i, path=1.0, p=1.0, mass=MUON, track_chi_c2=track) for i in range(3)
     ])  # fmt: skip
 
 
@@ -232,7 +232,7 @@ def test_the_core_of_a_parameter_is_that_of_single_scatters(weights):
     """Half of the central 68 % of a sum of simulated angles is as expected to 1 %."""
     n, sums = 60_000, 0.0
     for number, (weight, part) in enumerate(zip(weights, THREE, strict=True)):
-        out = _core.through_slabs(slab_detector([part]), p=1.0, mass=MUON, charge=-1, n=n, seed=number)
+        out = _core.simulation.through_slabs(slab_detector([part]), p=1.0, mass=MUON, charge=-1, n=n, seed=number)
         sums += weight * np.concatenate([out["angle_1"], out["angle_2"]])
     found = np.quantile(np.abs(sums), 0.6827)
     expected = math.hypot(*(weights * angles(shared(weights))))
@@ -247,16 +247,16 @@ def test_bethe(matter, thickness, p, mass):
     core = slab_detector([(matter, thickness, 50.0)])
     expected, xi, w_max = bethe(matter, thickness, p, mass)
     for path in (1.0, 2.5):
-        found = _core.restricted_loss(core, 0, path=path, p=p, mass=mass, cut=1e3)
+        found = _core.matter.restricted_loss(core, 0, path=path, p=p, mass=mass, cut=1e3)
         assert found == pytest.approx(path * expected, rel=1e-3)  # the density effect is read from a table
     cut = 0.05 * w_max
-    restricted = _core.restricted_loss(core, 0, path=1.0, p=p, mass=mass, cut=cut)
+    restricted = _core.matter.restricted_loss(core, 0, path=1.0, p=p, mass=mass, cut=cut)
     assert restricted == pytest.approx(bethe(matter, thickness, p, mass, cut)[0], rel=1e-3)
     beta2 = p * p / (p * p + mass * mass)
     harder = xi * (math.log(w_max / cut) - beta2 * (1 - cut / w_max))  # integral of E times the spectrum
     if mass != PION:
         harder += xi * 0.25 * (w_max**2 - cut**2) / (p * p + mass * mass)
-    whole = _core.restricted_loss(core, 0, path=1.0, p=p, mass=mass, cut=w_max)
+    whole = _core.matter.restricted_loss(core, 0, path=1.0, p=p, mass=mass, cut=w_max)
     assert whole - restricted == pytest.approx(harder, rel=1e-9)
 
 
@@ -267,7 +267,7 @@ def test_alpha_loss_by_hand():
     xi = 4 * 0.153537 * 0.44384 * 1.848 * 0.14 / 0.22355
     by_hand = xi * (math.log(2 * 0.510999 * 0.28791 * 0.2941 / 63.7e-6**2) - 2 * 0.22355)
     core = slab_detector([(BERYLLIUM, 1.4, 50.0)])
-    found = {z: _core.restricted_loss(core, 0, path=1, p=2, mass=ALPHA, charge=z, cut=1) for z in (1, -2, 2)}
+    found = {z: _core.matter.restricted_loss(core, 0, path=1, p=2, mass=ALPHA, charge=z, cut=1) for z in (1, -2, 2)}
     assert found[2] == found[-2] == pytest.approx(1e-3 * by_hand, rel=2e-3)
     assert found[2] == pytest.approx(4 * found[1], rel=1e-12)
     assert by_hand == pytest.approx(5.18, abs=0.01)
@@ -278,7 +278,7 @@ def test_alpha_loss_is_that_of_four_protons():
     gamma = 1 + 0.1 / PROTON
     core = slab_detector([(WATER, 1.0, 50.0)])
     p = ALPHA * math.sqrt(gamma**2 - 1)
-    found = _core.restricted_loss(core, 0, path=10.0, p=p, mass=ALPHA, charge=2, cut=1)  # 1 g/cm2
+    found = _core.matter.restricted_loss(core, 0, path=10.0, p=p, mass=ALPHA, charge=2, cut=1)  # 1 g/cm2
     assert 1e3 * found == pytest.approx(4 * 7.289, rel=0.01)
 
 
@@ -287,7 +287,7 @@ def test_loss_moments_of_alphas():
     core, n = slab_detector([(CARBON, 0.5, 50.0)], loss="mean"), 20_000
     mean, xi, w_max = bethe(CARBON, 0.5, 3.0, ALPHA)
     beta2 = 9 / (9 + ALPHA**2)
-    drawn = _core.through_slabs(core, p=3.0, mass=ALPHA, charge=2, n=n, seed=3)["loss"]
+    drawn = _core.simulation.through_slabs(core, p=3.0, mass=ALPHA, charge=2, n=n, seed=3)["loss"]
     assert drawn.mean() == pytest.approx(4 * mean, rel=2e-3)
     assert drawn.var() == pytest.approx(4 * xi * w_max * (1 - 0.5 * beta2), rel=0.05)
     fitted = _core._testing.core_loss(core, 0, path=1.0, p=3.0, mass=ALPHA, charge=2, track_xi=CARBON.xi(0.5))
@@ -299,7 +299,9 @@ def test_loss_moments_of_alphas():
 def test_minimum_ionisation(matter):
     """The smallest loss over all momenta is the PDG's tabulated minimum ionisation, to half a per cent."""
     core = slab_detector([(matter, 1.0, 50.0)])
-    losses = [_core.restricted_loss(core, 0, path=1.0, p=p, mass=MUON, cut=1e3) for p in np.linspace(0.2, 0.8, 121)]
+    losses = [
+        _core.matter.restricted_loss(core, 0, path=1.0, p=p, mass=MUON, cut=1e3) for p in np.linspace(0.2, 0.8, 121)
+    ]
     assert min(losses) / (0.1 * matter.density) * 1e3 == pytest.approx(matter.minimum, rel=5e-3)
 
 
@@ -309,7 +311,7 @@ def test_bethe_by_hand():
     # ln(2 x 0.511 MeV x 89.58 x 83.4 MeV / (63.7 eV)^2) - 2 x 0.98896 - delta, delta = 2 ln 9.4645 - 2.7847 + 0.317
     by_hand = 0.01783 * (math.log(2 * 0.510999 * 89.577 * 83.4 / 63.7e-6**2) - 2 * 0.98896 - 2.0269)
     core = slab_detector([(BERYLLIUM, 1.4, 50.0)])
-    assert _core.restricted_loss(core, 0, path=1.0, p=1.0, mass=MUON, cut=1e3) == pytest.approx(
+    assert _core.matter.restricted_loss(core, 0, path=1.0, p=1.0, mass=MUON, cut=1e3) == pytest.approx(
         1e-3 * by_hand, rel=5e-3
     )
     assert by_hand == pytest.approx(0.43, abs=0.01)
@@ -322,7 +324,7 @@ def test_core_moments(matter, thickness, p, mass, times):
     core = slab_detector([(matter, thickness, 50.0)])
     track_xi = times * matter.xi(thickness)
     beta2 = p * p / (p * p + mass * mass)
-    cut = _core.CORE_CUT_XI * track_xi / beta2 + _core.CORE_CUT_SHARE * p * math.sqrt(beta2)
+    cut = _core.matter.CORE_CUT_XI * track_xi / beta2 + _core.matter.CORE_CUT_SHARE * p * math.sqrt(beta2)
     expected, xi, w_max = bethe(matter, thickness, p, mass, cut)
     loss, variance, _ = _core._testing.core_loss(core, 0, path=1.0, p=p, mass=mass, track_xi=track_xi)
     assert loss == pytest.approx(expected, rel=1e-3)
@@ -343,7 +345,13 @@ def test_core_slope(matter, thickness, p, mass, times):
         return _core._testing.core_loss(core, 0, path=1.0, p=momentum, mass=mass, track_xi=track_xi)
 
     # Half a bin of the table of the density effect away from its nodes, where the slope jumps.
-    nodes = np.exp(_core.LOSS_GRID_FIRST + _core.LOSS_GRID_STEP * (np.arange(_core.LOSS_POINTS) + 0.5)) * mass
+    nodes = (
+        np.exp(
+            _core.detector.LOSS_GRID_FIRST
+            + _core.detector.LOSS_GRID_STEP * (np.arange(_core.detector.LOSS_POINTS) + 0.5)
+        )
+        * mass
+    )
     at = nodes[np.argmin(np.abs(nodes - p))]
     step = 1e-4 * at
     difference = (loss(at + step)[0] - loss(at - step)[0]) / (2 * step)
@@ -355,7 +363,7 @@ def test_core_loss_is_additive(pieces):
     """Loss and variance of a whole are the sums over its pieces."""
     whole = slab_detector([(BERYLLIUM, 2.0, 50.0)])
     piece = slab_detector([(BERYLLIUM, 2.0 / pieces, 50.0)])
-    track_xi = _core.total_matter(whole, 0.0)[1]
+    track_xi = _core.matter.total_matter(whole, 0.0)[1]
     full = _core._testing.core_loss(whole, 0, path=1.0, p=0.4, mass=MUON, track_xi=track_xi)
     part = _core._testing.core_loss(piece, 0, path=1.0, p=0.4, mass=MUON, track_xi=track_xi)
     np.testing.assert_allclose(pieces * np.array(part), full, rtol=1e-12)
@@ -380,10 +388,10 @@ def test_noise_of_a_track_does_not_depend_on_cuts(where, pieces, pt):
         rows = list(zip(elements["z"], elements["a"], elements["moles"], strict=True))
         parts = [rows[a:b] for a, b in itertools.pairwise(elements["first"])]
         pieces_of_it = [(z, a, moles / n) for z, a, moles in parts[i]]
-        core = _core.Detector(
+        core = _core.detector.Detector(
             bz=-1.0, slabs=cut, log_terms=np.repeat(log_terms, repeat, axis=0),
             composition=composition(parts[:i] + [pieces_of_it] * n + parts[i + 1 :]), layers=layer_table(design.cgem),
-            wires=wire_table(design.drift_chamber), screening=_core.Screening.wentzel,
+            wires=wire_table(design.drift_chamber), screening=_core.matter.Screening.wentzel,
         )  # fmt: skip
         vectors = _core._testing.reference(core, np.array([0.1, 0.5, -1 / pt, 2.0, 0.3]), MUON, hits)["noise"]
         return vectors.T @ vectors
@@ -403,7 +411,7 @@ def test_total_matter():
     chi = [chi_c2([part[:2]]) for part in parts]
     for tanl, met in ((0.0, 3), (-0.8, 3), (1.0, 2), (-2.0, 1)):
         expected = [sum(column[:met]) * math.hypot(1, tanl) for column in (x0, xi, chi)]
-        np.testing.assert_allclose(_core.total_matter(core, tanl), expected, rtol=1e-12)
+        np.testing.assert_allclose(_core.matter.total_matter(core, tanl), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "cuts"), [("besiii-cgem-design", 3), ("idea-like", 7), ("epic-like", 0)])
@@ -422,7 +430,7 @@ def test_total_matter_ends_with_the_parts_behind_the_chamber(name, cuts):
             if left and not any(abs(tanl) * one.radius <= one.row.numbers[0] for one in parts):
                 cuts -= 1
                 break
-        assert _core.total_matter(core, tanl)[0] == pytest.approx(x0 * math.hypot(1, tanl), rel=1e-12)
+        assert _core.matter.total_matter(core, tanl)[0] == pytest.approx(x0 * math.hypot(1, tanl), rel=1e-12)
     assert cuts == 0
 
 
@@ -432,7 +440,7 @@ def test_largest_transfer():
     gamma = math.hypot(1.0, MUON) / MUON
     ratio = ELECTRON / MUON
     w_max = 2 * ELECTRON * (1 / MUON) ** 2 / (1 + 2 * gamma * ratio + ratio**2)
-    losses = [_core.restricted_loss(core, 0, path=1, p=1, mass=MUON, cut=f * w_max) for f in (0.99, 1, 1.01)]
+    losses = [_core.matter.restricted_loss(core, 0, path=1, p=1, mass=MUON, cut=f * w_max) for f in (0.99, 1, 1.01)]
     assert losses[0] < losses[1] == losses[2]
 
 

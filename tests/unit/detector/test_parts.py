@@ -451,13 +451,13 @@ def test_core_arguments():
     digis = digis_of([9], [10.0])
     errors = np.ones((3, 4))
     with pytest.raises(ValueError, match="masked: strip 100000"):
-        _core.find_clusters(
+        _core.reconstruction.find_clusters(
             compiled(DESIGN_MAPS), dict(digis.columns), err_x=errors, err_v=errors, by_charge=False, masked=[100_000]
         )
     truths = run_maps(DESIGN_MAPS, "binary", 2, "simulate").truths
     steps = cg.Table.empty("steps", n_events=2)
     with pytest.raises(ValueError, match="rows times columns"):
-        _core.read_out_strips(
+        _core.simulation.read_out_strips(
             compiled(DESIGN_MAPS),
             dict(truths.columns),
             dict(steps.columns),

@@ -325,7 +325,9 @@ def test_columns_of_the_compiled_fit_are_checked(result):
     }  # fmt: skip
 
     def run(offsets=hits.hit_offsets, **columns):
-        return _core.fit(tuned(DETECTOR), hit_offsets=offsets, hits=hits.columns() | columns, **arguments)
+        return _core.reconstruction.fit(
+            tuned(DETECTOR), hit_offsets=offsets, hits=hits.columns() | columns, **arguments
+        )
 
     assert np.all(run()["status"] == 0)
     for offsets in (hits.hit_offsets + 1, hits.hit_offsets[::-1].copy()):

@@ -255,7 +255,7 @@ def test_no_digis_no_clusters():
 
 def size_errors(extents, pitch):
     """Errors by number of strips."""
-    return _core.size_errors(extents, pitch, MAX_SIZE)
+    return _core.reconstruction.size_errors(extents, pitch, MAX_SIZE)
 
 
 def test_errors_of_one_width_worked_by_hand():
@@ -274,7 +274,7 @@ def test_errors_of_one_width_worked_by_hand():
 def test_extents_that_are_none_are_refused(extents, pitch, sizes):
     """Negative, not a number, no pitch, no size."""
     with pytest.raises(ValueError, match="size_errors: expected extents of 0 or more"):
-        _core.size_errors(np.array(extents), pitch, sizes)
+        _core.reconstruction.size_errors(np.array(extents), pitch, sizes)
 
 
 def test_hardly_made_sizes_count_as_never_made():

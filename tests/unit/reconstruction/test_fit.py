@@ -128,7 +128,7 @@ def test_core_takes_its_settings_by_name(event):
     kinks = "kinks: got 'perhaps', which has another type than the field"
     lines = ("settings:", "tolerance: missing", kinks, "magic: no such field")
     with pytest.raises(ValueError, match="^" + "\n  ".join(lines) + "$"):
-        _core.fit(**given | {"settings": wrong})
+        _core.reconstruction.fit(**given | {"settings": wrong})
 
 
 def near_truth(event, seed):
@@ -519,7 +519,7 @@ def test_points_are_fitted_as_the_information_filter_does(points):
     result, clusters, found = points
     hits = collect_hits(DETECTOR_POINTS, result.candidates, found, clusters, result.wire_hits)
     arguments = core_arguments(DETECTOR_POINTS, hits, result.particles["mass"], np.empty((0, 5)), FIT)
-    fitted = _core.fit(**arguments)
+    fitted = _core.reconstruction.fit(**arguments)
     assert np.all(fitted["status"] == 0)
     assert np.mean(fitted["n_clusters"] == 6) > 0.95
     wrong = []

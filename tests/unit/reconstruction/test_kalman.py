@@ -57,7 +57,7 @@ def settled(core, hits, helix):
 
 def fitted(core, hits, start, which_settings):
     """Fit one track."""
-    return _core.fit(
+    return _core.reconstruction.fit(
         core, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]),
         start=np.atleast_2d(start), settings=which_settings, residuals=True,
     )  # fmt: skip
@@ -108,7 +108,7 @@ def test_filter_is_least_squares(name, which):
     """At the converged helix least squares moves nothing, and finds the filter's covariance and chi-square."""
     detector, core, helix, hits = smeared_track(name, which)
     out = settled(core, hits, helix)
-    assert out["status"][0] == _core.FitStatus.ok
+    assert out["status"][0] == _core.common.FitStatus.ok
     sigma = np.sqrt(np.diag(out["cov"][0]))
     estimate, covariance, chi2 = least_squares(*linear_model(detector, core, out["helix"][0], hits))
     assert np.all(np.abs(estimate) < 1e-6 * sigma)
@@ -126,7 +126,7 @@ def test_one_step_is_the_least_squares_step(name, which):
     sigma = np.sqrt(np.diag(fitted(core, hits, helix, settings())["cov"][0]))
     start = helix + sigma * [3, -2, 2, -3, 1]
     out = fitted(core, hits, start, settings(max_iterations=1))
-    assert out["status"][0] == _core.FitStatus.not_converged
+    assert out["status"][0] == _core.common.FitStatus.not_converged
     estimate, _, _ = least_squares(*linear_model(detector, core, start, hits))
     np.testing.assert_allclose((out["helix"][0] - start) / sigma, estimate / sigma, atol=2e-6)
 
@@ -194,7 +194,7 @@ def test_every_seed_leads_to_the_same_helix(name, which):
     starts = [helix + smearing * rng.normal(size=5) for _ in range(6)] + [np.empty((0, 5))]
     for start in starts:
         out = fitted(core, hits, start, settings())
-        assert out["status"][0] == _core.FitStatus.ok
+        assert out["status"][0] == _core.common.FitStatus.ok
         assert np.all(np.abs(out["helix"][0] - best["helix"][0]) < 1e-5 * sigma)
 
 
@@ -204,7 +204,7 @@ def test_hidden_sides_are_found(name, which):
     _, core, helix, hits = smeared_track(name, which)
     known = fitted(core, hits, helix, settings())
     hidden = fitted(core, hits | {"side": np.zeros_like(hits["side"])}, helix, settings(tolerance=1e-3))
-    assert hidden["status"][0] == _core.FitStatus.ok
+    assert hidden["status"][0] == _core.common.FitStatus.ok
     far = (hits["kind"] == 2) & (hits["value"] > 1.0)
     np.testing.assert_array_equal(hidden["side"][far], hits["side"][far])
     sigma = np.sqrt(np.diag(known["cov"][0]))
@@ -215,10 +215,10 @@ def test_few_hits():
     """Fewer measurements than parameters end with a status; a dozen without the outer chamber are fitted."""
     _, core, helix, hits = smeared_track("besiii-cgem-design", "1 GeV/c")
     few = {k: v[:4] for k, v in hits.items()}
-    assert fitted(core, few, helix, settings())["status"][0] == _core.FitStatus.too_few_hits
+    assert fitted(core, few, helix, settings())["status"][0] == _core.common.FitStatus.too_few_hits
     enough = {k: v[:12] for k, v in hits.items()}
     out = fitted(core, enough, helix, settings())
-    assert out["status"][0] == _core.FitStatus.ok
+    assert out["status"][0] == _core.common.FitStatus.ok
     assert out["ndf"][0] == 7
     assert np.all(np.linalg.eigvalsh(out["cov"][0]) > 0)
 
@@ -514,9 +514,10 @@ def one_slab(x0, xi, spread, bz):
     i = 1  # the air between beam pipe and first layer
     columns["radius"][i], columns["x0"][i], columns["xi"][i], columns["spread"][i] = 60.0, x0, xi, spread
     elements = [[(6, 12.011, 42.70 * x0 / 12.011)] if k == i else [] for k in range(len(columns["x0"]))]
-    core = _core.Detector(
+    core = _core.detector.Detector(
         bz=detector.field.bz, slabs=columns, log_terms=table.log_terms, composition=composition(elements),
-        layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber), screening=_core.Screening.wentzel,
+        layers=layer_table(detector.cgem), wires=wire_table(detector.drift_chamber),
+        screening=_core.matter.Screening.wentzel,
     )  # fmt: skip
     return detector, core, i, columns
 
@@ -550,11 +551,11 @@ def test_noise_vectors_are_kicks_seen_from_the_origin(shape, charge, bz):
     # The kicks' sizes: path, angle from momentum half-way through the loss, straggling, shift.
     across = at[:2] @ at[3:5] / columns["radius"][slab]
     path = math.hypot(1, at[5]) / across
-    _, track_xi, track_chi_c2 = _core.total_matter(core, parameters[4])
+    _, track_xi, track_chi_c2 = _core.matter.total_matter(core, parameters[4])
     loss, variance, _ = _core._testing.core_loss(core, slab, path=path, p=p, mass=MUON, track_xi=track_xi)
     energy = math.hypot(p, MUON)
     after = math.sqrt((energy - loss) ** 2 - MUON**2)
-    theta = _core.scattering_angle(
+    theta = _core.matter.scattering_angle(
         core, slab, path=path, p=0.5 * (p + after), mass=MUON, track_chi_c2=track_chi_c2
     )  # fmt: skip
     shift = theta * 4.0 * path

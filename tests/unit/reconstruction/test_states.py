@@ -332,7 +332,7 @@ def go(core, radius, helices=HELICES, cov=None, pivot=ORIGIN):
     """Take helices to a cylinder by the compiled module."""
     n = len(helices)
     cov = np.reshape(covariances(n) if cov is None else cov, (n, 25))
-    return _core.extrapolate(
+    return _core.reconstruction.extrapolate(
         core, pivot=np.broadcast_to(pivot, (n, 3)), helix=helices, cov=cov,
         mass=np.full(n, MUON), radius=radius, share=np.zeros(n), target_share=0.0,
     )  # fmt: skip
@@ -374,7 +374,7 @@ def fitted_states(core, detector, surfaces, offset=0.0):
     ]
     beside = np.concatenate([np.cos(np.arange(len(one))) for one in predicted])
     reference = HELICES + np.array([0, np.pi / 2, 0, 0, 0])
-    return _core.states(
+    return _core.reconstruction.states(
         core, hit_offsets=np.cumsum([0, *map(len, predicted)]),
         hits=columns | {
             "used": np.ones(len(beside), np.uint8), "used_variance": columns["sigma"] ** 2,

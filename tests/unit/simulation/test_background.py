@@ -185,7 +185,7 @@ def single_cells(share, n=4000):
     begins = np.where(np.arange(len(layers)) == 3, share, 0.0)
     none = np.empty(0, np.int32)
     how = {"lengths": [1.0], "window": 1.0, "hot": none, "hot_fires": np.empty(0), "seed": 5}
-    found = _core.background_cells(compiled(detector), np.arange(n), begins=begins, **how)
+    found = _core.simulation.background_cells(compiled(detector), np.arange(n), begins=begins, **how)
     assert set(found["layer"]) == {layers[3].number}
     return np.bincount(found["wire"], minlength=layers[3].cells), found
 
@@ -223,7 +223,7 @@ def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
         "hot": none,
         "hot_fires": np.empty(0),
     }
-    strips = _core.background_strips(
+    strips = _core.simulation.background_strips(
         compiled(run.detector), np.arange(n), clusters=[0.0, mean, 0.0], most_strips=6, seed=2, **how
     )
     assert set(strips["layer"]) == {1}
@@ -242,12 +242,14 @@ def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
     assert gate(np.append(sizes[:5] + sizes[5] / 5, 0)) > 5 + 4 * np.sqrt(10) + 6
     assert abs(strips["charge"].mean() - 30) < 4 * 40 / np.sqrt(12 * len(strips["charge"]))
     with pytest.raises(ValueError, match="innermost: expected a layer"):
-        _core.background_strips(
+        _core.simulation.background_strips(
             compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how | {"innermost": 3}
         )
     how |= {"hot": np.array([-1], np.int32), "hot_fires": np.ones(1)}
     with pytest.raises(ValueError, match="hot: channel -1"):
-        _core.background_strips(compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how)
+        _core.simulation.background_strips(
+            compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how
+        )
 
 
 def test_rows_are_ordered_by_channel():
@@ -255,7 +257,7 @@ def test_rows_are_ordered_by_channel():
     rng = np.random.default_rng(1)
     event, gid = np.sort(rng.integers(0, 50, 3000)), rng.integers(0, 40, 3000).astype(np.int32)
     time = rng.integers(0, 3, 3000).astype(np.float64)
-    order, first = _core.by_channel(event, gid, time)
+    order, first = _core.simulation.by_channel(event, gid, time)
     assert np.array_equal(order, np.lexsort((time, gid, event)))
     keys = np.stack([event, gid])[:, order]
     assert np.array_equal(first, np.unique(keys, axis=1, return_index=True)[1])
@@ -661,14 +663,14 @@ def test_the_finder_counts_no_hole_in_a_dead_area(monkeypatch):
     gun = cg.Gun("mu-", p=3.0, cos_theta=(-0.3, 0.3), phi=dead.cgem[1].sheet_phi[1] + 0.1)
     made = cg.run(dead, gun, n=40, seed=2, finder="ckf", readout="gaussian")
     assert not np.any(made.digis["layer"] == 1)
-    holes, find = [], _core.find_tracks
+    holes, find = [], _core.reconstruction.find_tracks
 
     def recorded(*given, **named):
         out = find(*given, **named)
         holes.append(np.mean(out["holes"]))
         return out
 
-    monkeypatch.setattr(_core, "find_tracks", recorded)
+    monkeypatch.setattr(_core.reconstruction, "find_tracks", recorded)
     for known in (dead, CGEM):
         assert len(cg.find_tracks(known, made.clusters, made.wire_hits)["candidates"]) == 40
     assert holes[0] < holes[1] - 0.9

@@ -297,7 +297,7 @@ def test_drift_distance_has_the_layers_error():
 
 def wire_hits(detector, truths, reveal_sides=False, seed=1):
     """Columns of wire hits from the kernel."""
-    return _core.read_out_wires(
+    return _core.simulation.read_out_wires(
         detector,
         truths | {"delay": np.zeros(len(truths["event"]))},
         xt_distance=BESIII.distance,
@@ -386,12 +386,16 @@ def test_kernels_check_their_columns(design):
     table = Table("truths", straight_up(1.0, 10.0, 14.0), 1)
     kwargs = {"gain": 12_000.0, "w_values": np.full(3, 0.0259), "threshold": 1.7}
     steps = gem_toy.no_steps()
-    digis = _core.read_out_strips(compiled(design), dict(table.columns), steps, **kwargs)
+    digis = _core.simulation.read_out_strips(compiled(design), dict(table.columns), steps, **kwargs)
     assert len(digis["gid"]) == 5
     with pytest.raises(ValueError, match="one-dimensional array of length 1"):
-        _core.read_out_strips(compiled(design), dict(table.columns) | {"energy": np.zeros(2)}, steps, **kwargs)
+        _core.simulation.read_out_strips(
+            compiled(design), dict(table.columns) | {"energy": np.zeros(2)}, steps, **kwargs
+        )
     with pytest.raises(ValueError, match="w_values: expected a one-dimensional array of length 3"):
-        _core.read_out_strips(compiled(design), dict(table.columns), steps, **kwargs | {"w_values": np.ones(2)})
+        _core.simulation.read_out_strips(
+            compiled(design), dict(table.columns), steps, **kwargs | {"w_values": np.ones(2)}
+        )
 
 
 SAMPLES = 4001
@@ -414,7 +418,7 @@ def fired(columns, entry, exit_):
     points = [[r * np.cos(phi), r * np.sin(phi), z] for r, (phi, z) in zip(radius, (entry, exit_), strict=True)]
     truths = gem_toy.truth_columns(0, 0, points[0], points[1])
     detector = gem_toy.core_detector(cgem=columns)
-    digis = _core.read_out_strips(detector, truths, gem_toy.no_steps(), **READOUT)
+    digis = _core.simulation.read_out_strips(detector, truths, gem_toy.no_steps(), **READOUT)
     return set(zip(digis["sheet"].tolist(), digis["view"].tolist(), digis["strip"].tolist(), strict=True))
 
 
@@ -801,7 +805,9 @@ def test_a_layer_sees_crossings_with_its_efficiency(readout):
     np.testing.assert_array_equal(found.truths["energy"], whole.truths["energy"])
     hit = found.digis["truth"]
     seen = np.isin(np.arange(len(found.truths)), hit)
-    draws = _core.seen_crossings(compiled(layer), dict(found.truths.columns), efficiency=[1.0, 0.8, 1.0], seed=4)
+    draws = _core.simulation.seen_crossings(
+        compiled(layer), dict(found.truths.columns), efficiency=[1.0, 0.8, 1.0], seed=4
+    )
     could = np.isin(np.arange(len(found.truths)), whole.digis["truth"])
     np.testing.assert_array_equal(seen, draws & could)
     assert_within(draws[found.truths["layer"] == 1].mean(), 0.8, np.sqrt(0.8 * 0.2 / n))

@@ -8,7 +8,7 @@ from scipy.special import ndtri
 from cgemit import _core
 from stats import assert_within
 
-TEST = _core.Purpose.test
+TEST = _core.common.Purpose.test
 
 
 def draws(function, n, seed=1, particle=0, place=0, block=0, first=0):
@@ -39,13 +39,13 @@ def test_counter_and_key_of_a_stream():
     seed, event, particle, place, block = 0x0123456789ABCDEF, 0x1122334455667788, 0xABCDE, 0x2ABCDEF, 0x9AB
     counter = [(int(TEST) << 26) | place, (particle << 12) | block, event & 0xFFFFFFFF, event >> 32]
     words = np.array(_core._testing.philox4x32(counter=counter, key=[seed & 0xFFFFFFFF, seed >> 32]), dtype=np.float64)
-    found = _core.uniforms(seed, np.array([event]), np.array([particle], np.int32), TEST, place, block)
+    found = _core.common.uniforms(seed, np.array([event]), np.array([particle], np.int32), TEST, place, block)
     np.testing.assert_array_equal(found[0], (words + 0.5) / 2**32)
 
 
 def test_normals_are_quantiles_of_the_uniforms():
     """A normal number is the quantile that the uniform one of the same draw stands for, to 2e-9."""
-    u, g = draws(_core.uniforms, 25_000), draws(_core.normals, 25_000)
+    u, g = draws(_core.common.uniforms, 25_000), draws(_core.common.normals, 25_000)
     np.testing.assert_allclose(g, ndtri(u), rtol=2e-9, atol=1e-12)
     assert np.abs(g).max() > 4  # the tails' own formula is among them
 
@@ -56,12 +56,12 @@ def test_pinned_first_draws():
         [0.6205046734539792, 0.06720580242108554, 0.7118037265026942, 0.34178201213944703],
         [0.8457191648194566, 0.9142801366979256, 0.39406230801250786, 0.9316674658330157],
     ]
-    np.testing.assert_allclose(draws(_core.uniforms, 2), pinned, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(draws(_core.common.uniforms, 2), pinned, rtol=0, atol=1e-15)
 
 
 def test_uniforms_are_uniform():
     """Numbers lie strictly inside (0, 1), with the moments and the distribution of a uniform variable."""
-    u = draws(_core.uniforms, 50_000).ravel()
+    u = draws(_core.common.uniforms, 50_000).ravel()
     assert u.min() > 0
     assert u.max() < 1
     assert_within(u.mean(), 0.5, np.sqrt(1 / 12 / u.size))
@@ -71,7 +71,7 @@ def test_uniforms_are_uniform():
 
 def test_normals_are_normal():
     """Mean, variance, skewness, kurtosis and the whole distribution are those of a standard normal variable."""
-    g = draws(_core.normals, 50_000).ravel()
+    g = draws(_core.common.normals, 50_000).ravel()
     assert np.all(np.isfinite(g))
     for power, expected, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
         assert_within(np.mean(g**power), expected, np.sqrt(variance / g.size), what=f"moment {power}")
@@ -88,14 +88,14 @@ def test_normals_are_normal():
 def test_neighbouring_streams_are_independent(other):
     """Streams that differ by one in seed, event, particle, place or block are uncorrelated, as are their squares."""
     n = 50_000
-    a, b = draws(_core.normals, n).ravel(), draws(_core.normals, n, **other).ravel()
+    a, b = draws(_core.common.normals, n).ravel(), draws(_core.common.normals, n, **other).ravel()
     assert_within(np.mean(a * b), 0.0, 1 / np.sqrt(a.size), what="values")
     assert_within(np.mean((a**2 - 1) * (b**2 - 1)), 0.0, 2 / np.sqrt(a.size), what="squares")
 
 
 def test_four_numbers_of_a_draw_are_independent():
     """The four numbers of one draw are uncorrelated, as are their squares."""
-    g = draws(_core.normals, 50_000)
+    g = draws(_core.common.normals, 50_000)
     for sample, variance in ((g, 1), (g**2 - 1, 2)):
         products = (sample.T @ sample / len(g))[np.triu_indices(4, 1)]
         assert_within(products, 0.0, variance / np.sqrt(len(g)))
@@ -103,17 +103,20 @@ def test_four_numbers_of_a_draw_are_independent():
 
 def test_all_purposes_differ():
     """Every purpose has its own stream."""
-    first = [_core.uniforms(1, np.arange(1), np.zeros(1, np.int32), purpose, 0)[0, 0] for purpose in _core.Purpose]
-    assert len(set(first)) == len(_core.Purpose) >= 7
+    first = [
+        _core.common.uniforms(1, np.arange(1), np.zeros(1, np.int32), purpose, 0)[0, 0]
+        for purpose in _core.common.Purpose
+    ]
+    assert len(set(first)) == len(_core.common.Purpose) >= 7
 
 
 def test_a_row_does_not_depend_on_the_others():
     """One event drawn alone gets the numbers it has among many."""
-    alone = draws(_core.normals, 1, first=77)
-    np.testing.assert_array_equal(alone[0], draws(_core.normals, 100)[77])
+    alone = draws(_core.common.normals, 1, first=77)
+    np.testing.assert_array_equal(alone[0], draws(_core.common.normals, 100)[77])
 
 
 def test_wrong_shapes_are_refused():
     """Columns of different lengths raise an error that names the argument."""
     with pytest.raises(ValueError, match="particle"):
-        _core.uniforms(1, np.arange(3), np.zeros(2, np.int32), TEST, 0)
+        _core.common.uniforms(1, np.arange(3), np.zeros(2, np.int32), TEST, 0)

@@ -29,7 +29,7 @@ def delays(
     view = {"pitch": pitch, "gap": gap, "velocity": VELOCITY, "duration": DURATION, "margin": 2 * width,
             "threshold": THRESHOLD}  # fmt: skip
     return np.asarray(
-        _core.strip_delays(
+        _core.readout.strip_delays(
             chip=chip_arguments(readout), view=view, way=WAY, induced=charges_of_plane(pitch, 2.0, width),
             tracks=tracks, slopes=np.array(slopes), charges=CHARGES,
         )
@@ -170,7 +170,7 @@ def test_every_wrong_number_is_listed() -> None:
     tracks["height"][1] = 0.7
     tracks["first"] = tracks["first"] + 1
     with pytest.raises(ValueError, match=r"(?s)velocity.*height.*first"):
-        _core.strip_delays(
+        _core.readout.strip_delays(
             chip=chip_arguments(TigerReadout()),
             view={"pitch": 0.65, "gap": 5.0, "velocity": -1.0, "duration": 57.0, "margin": 0.6, "threshold": 2.0},
             way=WAY, induced=charges_of_plane(0.65, 2.0, 0.3), tracks=tracks, slopes=np.zeros(1), charges=CHARGES,

@@ -140,7 +140,7 @@ def test_unsmeared_hits_fit_perfectly(name, bz, helix):
         "kinks": False, "outlier_pull": 0.0, "momentum": 1.0, "prior_sigma": (200.0, 2, 5, 1000, 5),
     }  # fmt: skip
     start = helix + np.array([0.5, 0.004, 0.02 * helix[2], 3, 0.01])
-    out = _core.fit(tuned(detector), hit_offsets=np.array([0, len(hits["kind"])]), hits=hits,
+    out = _core.reconstruction.fit(tuned(detector), hit_offsets=np.array([0, len(hits["kind"])]), hits=hits,
                     mass=np.array([MUON]), start=start[None], settings=settings, residuals=True)  # fmt: skip
     assert out["status"][0] == 0
     sigma = np.sqrt(np.diag(out["cov"][0]))
@@ -972,7 +972,7 @@ def test_what_does_not_decay():
     guns = Gun("p", p=0.5, cos_theta=0.0) + Gun("e-", p=0.5, cos_theta=0.0) + Gun("Sigma-", p=0.5, cos_theta=0.0)
     out = simulate(DETECTOR, generate(guns, 20, seed=1), None, 1)
     assert len(out["decays"]) == 0
-    assert _core.Purpose.decay == 11
+    assert _core.common.Purpose.decay == 11
 
 
 DESIGN_LANES = load("besiii-cgem-design")

@@ -70,7 +70,7 @@ def test_checks_of_columns_agree_with_numpy():
         first, n = draws.integers(-5, 5), draws.integers(0, 6)
         event = draws.integers(first - 1, first + n + 1, draws.integers(0, 8))
         event = np.sort(event) if draws.random() < 0.8 else event
-        offsets = _core.event_offsets(event, first, n)
+        offsets = _core.common.event_offsets(event, first, n)
         fits = np.all(np.diff(event) >= 0) and np.all((event >= first) & (event < first + n))
         assert (offsets is not None) == fits
         if fits:
@@ -79,14 +79,14 @@ def test_checks_of_columns_agree_with_numpy():
         target, mine = draws.integers(0, 3, 4), draws.integers(0, 3, 3)
         links = draws.integers(-2, 5, 3)
         strange = [row for row, to in enumerate(links) if to >= 0 and (to >= 4 or target[to] != mine[row])]
-        assert _core.strange_link(links, mine, target) == (strange[0] if strange else -1)
+        assert _core.common.strange_link(links, mine, target) == (strange[0] if strange else -1)
 
         numbers, kinds, limits = draws.integers(-1, 4, 5), draws.integers(0, 3, 5).astype(np.int8), [4, 3]
         beyond = [row for row in range(5) if kinds[row] > 1 or not 0 <= numbers[row] < limits[kinds[row]]]
-        assert _core.outside(numbers, limits, kinds) == (beyond[0] if beyond else -1)
-        assert _core.outside(numbers, limits[:1]) == (np.argmin(numbers) if numbers.min() < 0 else -1)
+        assert _core.common.outside(numbers, limits, kinds) == (beyond[0] if beyond else -1)
+        assert _core.common.outside(numbers, limits[:1]) == (np.argmin(numbers) if numbers.min() < 0 else -1)
     with pytest.raises(ValueError, match="0 or more"):
-        _core.event_offsets(np.zeros(1, np.int64), 0, -1)
+        _core.common.event_offsets(np.zeros(1, np.int64), 0, -1)
 
 
 @pytest.mark.parametrize("key", [slice(1, 3), [1, 2], np.array([False, True, True, False])])

@@ -49,7 +49,7 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
     row = np.where(view == WIRE, random.integers(0, 200, 300), random.integers(0, 120, 300))
     hits = {"event": np.zeros(300, int), "candidate": random.integers(0, 40, 300), "view": view, "row": row}
     tables = {"particles": particles, "truths": truths, "wire_truths": cells, "clusters": clusters, "wire_hits": wires}
-    found = _core.match_hits(**tables, candidate_hits=hits, candidates=40)
+    found = _core.truth.match_hits(**tables, candidate_hits=hits, candidates=40)
 
     rows, links = (owners(particles, truths), owners(particles, cells)), (clusters["truth"], wires["wire_truth"])
 
@@ -62,7 +62,7 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
         late, turn = table["daughter"][crossing] > 0, table["half_turn"][crossing] != 0
         return rows[int(wire)][crossing], bool(late), not (late or turn)
 
-    np.testing.assert_array_equal(_core.particle_rows(particles, truths), rows[0])
+    np.testing.assert_array_equal(_core.common.particle_rows(particles, truths), rows[0])
     for candidate in range(40):
         mine = [
             (behind(view[i] == WIRE, row[i]), 2 if view[i] == POINT else 1)
@@ -117,7 +117,7 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
     assert found["crossings_left"].tolist() == [seen[owner] for owner in range(60)]
 
     candidates, chosen = random.integers(-1, 30, 60), np.flatnonzero(clusters["view"] < 2)[::2]
-    given = _core.assign_hits(**tables, candidates=candidates, rows=chosen)
+    given = _core.truth.assign_hits(**tables, candidates=candidates, rows=chosen)
     expected = []
     for wire, some in ((False, chosen), (True, np.arange(200))):
         table, kind = (wires, np.full(200, WIRE)) if wire else (clusters, clusters["view"])
@@ -144,6 +144,6 @@ def test_links_beyond_their_tables_are_refused() -> None:
     hits = {"event": np.zeros(1, int), "candidate": np.zeros(1, int), "view": np.zeros(1, "i1"), "row": np.ones(1, int)}
     tables = {"particles": one, "truths": crossing, "wire_truths": crossing, "wire_hits": wires, "candidate_hits": hits}
     with pytest.raises(ValueError, match="truth 0: got 1"):
-        _core.match_hits(**tables, clusters=clusters, candidates=1)
+        _core.truth.match_hits(**tables, clusters=clusters, candidates=1)
     with pytest.raises(ValueError, match="row: got 1"):
-        _core.match_hits(**tables, clusters=clusters | {"truth": np.zeros(1, int)}, candidates=1)
+        _core.truth.match_hits(**tables, clusters=clusters | {"truth": np.zeros(1, int)}, candidates=1)

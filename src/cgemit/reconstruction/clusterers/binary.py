@@ -39,7 +39,7 @@ class BinaryClusterer(Clusterer):
             If a strip is not in the detector.
         """
         err_x, err_v = map(group.among_all, cluster_errors(group.detector, settings, group.numbers))
-        found = _core.find_clusters(
+        found = _core.reconstruction.find_clusters(
             compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v,
             by_charge=settings.position == "charge", masked=strip_lists(group.detector).masked, bridge=settings.bridge,
         )  # fmt: skip
@@ -92,8 +92,8 @@ def error_table(cgem: dict[str, Any], bz: float, settings: ClusterSettings) -> t
     for i in range(layers):
         layer = {name: column[i] for name, column in cgem.items()}
         width_x, width_v = reference_widths(layer, bz, settings)
-        err_x[i] = _core.size_errors(width_x, layer["pitch_x"], MAX_SIZE)
-        err_v[i] = _core.size_errors(width_v, layer["pitch_v"], MAX_SIZE)
+        err_x[i] = _core.reconstruction.size_errors(width_x, layer["pitch_x"], MAX_SIZE)
+        err_v[i] = _core.reconstruction.size_errors(width_v, layer["pitch_v"], MAX_SIZE)
     for table in (err_x, err_v):
         table.flags.writeable = False
     return err_x, err_v

@@ -112,7 +112,7 @@ class ChargeClusterer(Clusterer):
         of_layers = ("values", "charges_apart", "times_apart", "log_numbers")
         shares = {name: group.among_all(inputs.shares[name]) for name in of_layers}
         delayed = {name: group.among_all(delays[name], 2) for name in ("charges", "delays")}
-        found: dict[str, Any] = _core.find_charge_time_clusters(
+        found: dict[str, Any] = _core.reconstruction.find_charge_time_clusters(
             compiled(detector), dict(digis.columns), **rules, timing=by_layer, chip=inputs.chip, planes=planes,
             shares=inputs.shares | shares, delays=delays | delayed, estimator=self.readout.estimator,
             masked=strip_lists(detector).masked, bridge=bridge, gain=strip_gains(detector),

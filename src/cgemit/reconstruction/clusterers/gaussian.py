@@ -28,7 +28,9 @@ class PositionClusterer(Clusterer):
             If a sheet has not as many X as V positions: the n-th of both belong together.
         """
         err_x, err_v = (group.among_all(column) for column in self._errors(group))
-        found = _core.clusters_of_positions(compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v)
+        found = _core.reconstruction.clusters_of_positions(
+            compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v
+        )
         return Table("clusters", found, **digis.cover)
 
     def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:

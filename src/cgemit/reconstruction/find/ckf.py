@@ -169,7 +169,7 @@ def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -
 
 def _circle_layers(detector: Detector, settings: FindSettings) -> int:
     views = [layer.views for layer in detector.layers]
-    return _core.circle_layers(
+    return _core.reconstruction.circle_layers(
         axial=sum(layer.twist == 0 for layer in wire_layers(detector)), across=sum("X" in one for one in views),
         single=any(len(one) == 1 for one in views), least_axial=settings.least_axial,
     )  # fmt: skip
@@ -287,7 +287,7 @@ def find_tracks(
     offsets = np.searchsorted(event[order], np.append(clusters.events, np.iinfo(np.int64).max)).astype(np.int64)
     hits = {name: np.ascontiguousarray(column[order]) for name, column in hits.items()}
     core, weak = compiled_matter(detector, fit), abs(detector.field.bz) < _WEAK_FIELD
-    found = _core.find_tracks(
+    found = _core.reconstruction.find_tracks(
         core.in_field(math.copysign(_FIELD, detector.field.bz)) if weak else core, event_offsets=offsets, hits=hits,
         settings=_core_settings(settings, fit, weak), pairs=_pairs(detector, clusters, number, points),
     )  # fmt: skip
