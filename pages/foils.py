@@ -22,7 +22,7 @@ from cgemit.analysis.clusters import cluster_residuals, v_fit, x_widths
 from cgemit.analysis.curves import windowed_resolution
 from cgemit.chain.settings import Settings
 from cgemit.detector import CgemLayer, Detector, SubLayer, compiled, slabs
-from cgemit.detector.matter import Holes
+from cgemit.detector.shells import Holes
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study.paper import COS_THETA
 from cgemit.study.samples import seed_of
@@ -120,7 +120,9 @@ def foil_x0(detector: Detector) -> float:
 def evened(detector: Detector) -> Detector:
     """Return a detector whose foils have the lattice's matter, spread evenly."""
     solid = iter([coverage(slab.holes) for slab in slabs(detector, foil="lattice") if slab.holes])
-    return replace(detector, cgem=tuple(replace(layer, foil=tuple(_evened(layer, solid))) for layer in detector.cgem))
+    return replace(
+        detector, barrels=tuple(replace(layer, foil=tuple(_evened(layer, solid))) for layer in detector.cgem)
+    )
 
 
 def _evened(layer: CgemLayer, solid: Iterator[float]) -> list[SubLayer]:

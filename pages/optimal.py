@@ -18,7 +18,8 @@ import numpy.typing as npt
 import cgemit as cg
 from cgemit.base.arrays import Floats
 from cgemit.detector import Slab, slabs
-from cgemit.detector.parts import CgemLayer, WireLayer
+from cgemit.detector.layers import CgemLayer
+from cgemit.detector.layers.wires import WireLayer
 from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import PARAMETERS
 

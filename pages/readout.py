@@ -17,8 +17,7 @@ from cgemit.analysis.widths import measure
 from cgemit.base.arrays import Floats
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.induction import cloud_widths
-from cgemit.detector.parts import Readout
-from cgemit.detector.readouts import AnalogReadout, ChipErrors
+from cgemit.detector.readouts import AnalogReadout, ChipErrors, Readout
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import charge_clusterer
 from cgemit.reconstruction.cluster_errors import COS_THETA as COS_THETAS

@@ -10,8 +10,7 @@ from typing import Any
 from cgemit.base.validate import expected, kinds_of
 from cgemit.chain.settings import Settings
 from cgemit.detector.keys import keys_of
-from cgemit.detector.parts import Readout
-from cgemit.detector.readouts import READOUTS
+from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.units import NATIVE, format_quantity
 from pages.page import Found, Page, table
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import cgemit as cg
 from cgemit import isa
 from cgemit.detector import Detector, load
-from cgemit.detector.parts import Readout
-from cgemit.detector.readouts import Apv25Readout, TigerReadout
+from cgemit.detector.readouts import Apv25Readout, Readout, TigerReadout
 from cgemit.particles.gun import generate
 from cgemit.simulation.digitize import digitizer_of
 from cgemit.simulation.transport import SimulateSettings, simulate

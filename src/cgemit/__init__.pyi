@@ -21,11 +21,11 @@ from .covariance.sensitivity import sensitivity as sensitivity
 from .detector.detector import Detector as Detector
 from .detector.detector import load as load
 from .detector.files import detectors as detectors
-from .detector.readouts import Apv25Readout as Apv25Readout
-from .detector.readouts import BinaryReadout as BinaryReadout
-from .detector.readouts import GaussianReadout as GaussianReadout
-from .detector.readouts import ProjectionReadout as ProjectionReadout
-from .detector.readouts import TigerReadout as TigerReadout
+from .detector.readouts.apv25 import Apv25Readout as Apv25Readout
+from .detector.readouts.binary import BinaryReadout as BinaryReadout
+from .detector.readouts.gaussian import GaussianReadout as GaussianReadout
+from .detector.readouts.projection import ProjectionReadout as ProjectionReadout
+from .detector.readouts.tiger import TigerReadout as TigerReadout
 from .detector.variants import like as like
 from .particles.gun import Gun as Gun
 from .particles.samples import EventSample as EventSample

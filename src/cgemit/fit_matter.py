@@ -13,7 +13,7 @@ from cgemit.base.arrays import Floats
 from cgemit.detector.core import compiled
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
-from cgemit.detector.parts import CgemLayer, Layer, pitches
+from cgemit.detector.layers import Layer
 from cgemit.particles.species import species
 
 MOST_MOMENTUM_ERROR = (
@@ -214,12 +214,8 @@ def _muon_across(core: _core.detector.Detector, layers: Sequence[Layer], **how: 
         model={
             "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,
             "prior_sigma": (20.0, 0.1, 1.0, 100.0, 0.2), "cos_theta": [0.0], "corr_xv": [0.0] * len(layers),
-            "sigma_x": [_error(layer, 0) or 1.0 for layer in layers],
-            "sigma_v": [_error(layer, 1) or 1.0 for layer in layers],
+            "sigma_x": [layer.errors[0] or 1.0 for layer in layers],
+            "sigma_v": [layer.errors[1] or 1.0 for layer in layers],
         },
     )  # fmt: skip
     return None if found["status"].any() else found
-
-
-def _error(layer: Layer, view: int) -> float:
-    return pitches(layer)[view] / math.sqrt(12) if isinstance(layer, CgemLayer) else layer.errors[view]

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy.typing as npt
 import pytest
 
-from cgemit.detector.parts import Readout
-from cgemit.detector.readouts import part_of
+from cgemit.detector.readouts import Readout, part_of
 from cgemit.reconstruction.cluster import CLUSTERERS
 
 

@@ -21,7 +21,8 @@ from cgemit import _core
 from cgemit.covariance import tracks
 from cgemit.covariance.tracks import core_width
 from cgemit.detector.core import Columns, layer_table, slab_table, wire_table
-from cgemit.detector.matter import Slab, slabs
+from cgemit.detector.matter import slabs
+from cgemit.detector.shells import Slab
 from cgemit.helix import RADIUS_PER_KAPPA
 from slabs import MUON
 

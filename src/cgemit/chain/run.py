@@ -47,8 +47,8 @@ from cgemit.chain.settings import (
 )
 from cgemit.detector import Detector, load
 from cgemit.detector.drift import check_wire_times
-from cgemit.detector.parts import Readout
 from cgemit.detector.reader import readout_of
+from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses

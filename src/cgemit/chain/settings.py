@@ -8,8 +8,7 @@ from typing import Any
 
 from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector
-from cgemit.detector.parts import Readout
-from cgemit.detector.readouts import READOUTS
+from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.particles.gun import Guns, Source, only_kind, usual_momentum
 from cgemit.particles.species import KNOWN, hypothesis_name
 from cgemit.reconstruction.candidates import Finder

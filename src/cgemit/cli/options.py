@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cgemit.base.progress import ProgressBar
     from cgemit.chain.settings import Settings
     from cgemit.detector import Detector
-    from cgemit.detector.parts import Readout
+    from cgemit.detector.readouts import Readout
     from cgemit.tables import Table
 
 

@@ -28,7 +28,8 @@ from cgemit.covariance.tracks import (
 )
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.keys import once
-from cgemit.detector.parts import DriftChamber, Readout
+from cgemit.detector.layers.wires import DriftChamber
+from cgemit.detector.readouts import Readout
 from cgemit.reconstruction.cluster import clusterer_of, warn_of_losses
 from cgemit.reconstruction.cluster_errors import COS_THETA
 from cgemit.reconstruction.clusterers.clusterer import Clusterer

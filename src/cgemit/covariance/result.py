@@ -18,8 +18,8 @@ from cgemit.base.errors import Problems
 from cgemit.covariance.losses import Losses
 from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import SCREENINGS, Detector
+from cgemit.detector.layers import Layer
 from cgemit.detector.matter import slabs
-from cgemit.detector.parts import Layer
 from cgemit.fit_matter import unseen_cut
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.schema import FitStatus
@@ -165,11 +165,10 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     chamber = detector.drift_chamber
     if chamber is not None:
         found += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
-    layers = [*detector.layers, *(layer for layer in detector.layer if not layer.views)]
     for slab in slabs(detector):
         first = slab.shells[0]
-        of_layer = first.group in ("cathode", "drift", "foils", "anode", "sensor", "support")
-        inside = [layer.label for layer in layers if of_layer and _contains(layer, first.r_in)]
+        of_layer = first.group not in ("pipe", "wall", "air", "gas")
+        inside = [layer.label for layer in detector.barrels if of_layer and _contains(layer, first.r_in)]
         part = inside[0] if inside else first.group
         name = f"{part} {first.group}" if inside else f"{first.group} {first.r_in:.5g} mm"
         for cause, weight in ((SCATTERING, "x0"), (STRAGGLING, "xi")):

@@ -21,7 +21,7 @@ from cgemit.covariance.result import Covariance
 from cgemit.covariance.tracks import Points, core_width
 from cgemit.detector import Detector, load
 from cgemit.detector.keys import once
-from cgemit.detector.parts import CgemLayer, Contents, Labelled
+from cgemit.detector.parts import Contents, Labelled
 from cgemit.detector.variants import values_at
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.show import Shown, data_frame
@@ -89,19 +89,8 @@ def keeps_order(base: Covariance, core: _core.detector.Detector) -> bool:
 @once
 def _with_stereo(variant: Detector, base: Detector) -> Detector:
     """Return a variant whose derived stereo angles follow radius and length continuously, not in whole strips."""
-    layers = []
-    for layer, old in zip(variant.cgem, base.cgem, strict=True):
-        derived = abs(abs(layer.stereo) - math.atan2((layer.strips_x - 1) * layer.pitch_x, layer.length)) < 1e-12
-        if derived:
-            angle = abs(old.stereo) + (_diagonal(layer) - _diagonal(old))
-            # The hits are given: one V strip fits at any angle.
-            layer = dataclasses.replace(layer, stereo=math.copysign(angle, old.stereo), strips_v=1)
-        layers.append(layer)
-    return dataclasses.replace(variant, cgem=Labelled(layers))
-
-
-def _diagonal(layer: CgemLayer) -> float:
-    return math.atan2(2 * math.pi * layer.r_readout / layer.sheets, layer.length)
+    layers = [layer.smooth(old) for layer, old in zip(variant.barrels, base.barrels, strict=True)]
+    return dataclasses.replace(variant, barrels=Labelled(layers))
 
 
 #: Relative steps of differences, tried in turn, outward and inward, where parts are so close that a larger one is
@@ -349,16 +338,8 @@ def design_keys(detector: Contents) -> Iterator[str]:
     detector : Detector
     """
     yield "field.bz"
-    for layer in detector.cgem:
-        for name in ("anode_radius", "pitch_x", "pitch_v", "stereo", "drift_gap", "transfer_gap", "induction_gap"):
-            yield f"cgem.{layer.label}.{name}"
-        for stack in ("cathode", "foil", "anode"):
-            for part in getattr(layer, stack):
-                yield f"cgem.{layer.label}.{stack}.{part.label}.thickness"
-    for sensor in detector.layer:
-        names = ("radius", "thickness", "sigma_x", "sigma_v", "sigma_tan", "pitch_x", "pitch_v")
-        used = {name: getattr(sensor, name) for name in ("sigma_x", "sigma_v", "sigma_tan")}
-        used |= {f"pitch_{view}": 0 if used[f"sigma_{view}"] else getattr(sensor, f"pitch_{view}") for view in "xv"}
-        yield from (f"layer.{sensor.label}.{name}" for name in names if used.get(name, 1))
+    for _, layers in detector.by_kind():
+        for layer in layers:
+            yield from layer.design_keys()
     if detector.drift_chamber is not None:
         yield "drift_chamber.sigma"

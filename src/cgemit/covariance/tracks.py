@@ -21,7 +21,8 @@ from cgemit.chain.executor import Workers, pool_of
 from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
 from cgemit.detector.keys import Part, once
-from cgemit.detector.parts import CgemLayer, DriftChamber, Layer
+from cgemit.detector.layers import Layer
+from cgemit.detector.layers.wires import DriftChamber
 from cgemit.helix import path_to
 from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
@@ -106,11 +107,10 @@ def most_unseen(layer: Layer) -> float:
 
     Parameters
     ----------
-    layer : CgemLayer or MeasurementLayer
-        In a CGEM layer they need electrons.
+    layer : Layer
+        In gas they need electrons.
     """
-    found = 1 - most_lost(layer) if isinstance(layer, CgemLayer) else 1.0
-    return 1 - layer.efficiency * found
+    return 1 - layer.efficiency * (1 - most_lost(layer))
 
 
 def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Floats, charge: Floats) -> Floats:
@@ -129,7 +129,7 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
     ln_betagamma = np.log(charge * slant / np.abs(kappa) / mass)
     found = np.ones((len(kappa), len(detector.layers)))
     for number, layer in enumerate(detector.layers):
-        if not isinstance(layer, CgemLayer):
+        if layer.gas is None:
             found[:, number] = layer.efficiency
             continue
         turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)

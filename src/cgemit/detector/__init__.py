@@ -7,20 +7,13 @@ from cgemit.detector.export import describe, schema
 from cgemit.detector.field import Field, FieldGrid, HarmonicField, MapField, SolenoidField
 from cgemit.detector.files import detectors, fields, read_field_map, write_field_map
 from cgemit.detector.gas import GasFile, read_gas_file
+from cgemit.detector.layers import CgemLayer, MeasurementLayer
+from cgemit.detector.layers.layer import SubLayer
+from cgemit.detector.layers.wires import CellWire, DriftChamber, DriftPoint, ErrorPoint, WireLayer
 from cgemit.detector.material import Material
-from cgemit.detector.matter import Slab, slabs
-from cgemit.detector.parts import (
-    CellWire,
-    CgemLayer,
-    Cylinder,
-    DriftChamber,
-    DriftPoint,
-    ErrorPoint,
-    MeasurementLayer,
-    Shell,
-    SubLayer,
-    WireLayer,
-)
+from cgemit.detector.matter import slabs
+from cgemit.detector.parts import Cylinder
+from cgemit.detector.shells import Shell, Slab
 from cgemit.detector.variants import like
 
 __all__ = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
@@ -17,7 +16,8 @@ from cgemit.detector import check
 from cgemit.detector.chamber import read_chamber
 from cgemit.detector.field import KINDS, Field, MapField, kind_key
 from cgemit.detector.files import library_materials, map_path, read_field_map
-from cgemit.detector.keys import CENTRED, keys_of, plain
+from cgemit.detector.keys import UNUSABLE, keys_of, plain
+from cgemit.detector.layers import LAYER_KINDS, CgemLayer, Layer
 from cgemit.detector.material import (
     Material,
     element_rows,
@@ -28,17 +28,15 @@ from cgemit.detector.material import (
     x0_of_fractions,
     z_over_a_of_fractions,
 )
-from cgemit.detector.parts import BackgroundLevel, CgemLayer, Contents, Cylinder, Labelled, MeasurementLayer
+from cgemit.detector.parts import BackgroundLevel, Contents, Cylinder, Labelled
 from cgemit.detector.reader import (
     BELOW,
     NAME,
     TOP_LEVEL,
-    UNUSABLE,
     Reader,
     spread_readout,
     writable,
 )
-from cgemit.detector.readouts import DEFAULT_READOUTS
 
 #: Volume of a mole of ideal gas at 20 C and 1 atm, cm3: R T/p with CODATA 2018 R = 8.314462618 J/(mol K).
 MOLAR_VOLUME = 8.314462618 * 293.15 / 101325 * 1e6
@@ -311,23 +309,24 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
         reader.readout("readout", tables["readout"], CgemLayer)
         spread_readout(tables)
     pipe = Labelled(_parts(reader, tables, "beam_pipe", Cylinder, "r_in"))
-    cgem = Labelled(_parts(reader, tables, "cgem", CgemLayer, "anode_radius", complete_layer))
-    layer = Labelled(_parts(reader, tables, "layer", MeasurementLayer, "radius", complete_measurement))
+    barrels: list[Layer] = []
+    for group, kind in LAYER_KINDS.items():
+        barrels += _parts(reader, tables, group, kind, "r_mid", kind.complete)
     walls = Labelled(_parts(reader, tables, "walls", Cylinder, "r_in"))
     chamber = read_chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
     levels = tuple(_parts(reader, tables, "background", BackgroundLevel, "label"))
     # A layer that could not be read may measure.
-    measures = any(one.views for one in layer) or any(one.path.startswith("layer") for one in problems)
-    if not cgem and not measures and not chamber and not reader.baseless:
+    measures = any(one.views for one in barrels) or any(one.path.startswith("layer") for one in problems)
+    if not measures and not chamber and not reader.baseless:
         expected = "a [cgem.<label>], a [layer.<label>] with an error or a pitch, or a [drift_chamber]"
         reader.note("", "nothing that measures", expected)
     if problems:
-        more = check.field_problems(field) + check.geometry_problems(pipe, cgem, layer, walls, chamber)
+        more = check.field_problems(field) + check.geometry_problems(pipe, barrels, walls, chamber)
         raise DetectorError(source, problems + more)
     air = reader.materials["Air"]
     assert air is not None  # otherwise there was a problem
     return Contents(
-        **texts, field=field, beam_pipe=pipe, cgem=cgem, layer=layer, walls=walls, drift_chamber=chamber,
+        **texts, field=field, beam_pipe=pipe, barrels=Labelled(barrels), walls=walls, drift_chamber=chamber,
         background=levels, air=air,
     )  # fmt: skip
 
@@ -415,7 +414,7 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
         values["bz"] = own
 
 
-_P = TypeVar("_P", Cylinder, CgemLayer, MeasurementLayer, BackgroundLevel)
+_P = TypeVar("_P", bound=Cylinder | Layer | BackgroundLevel)
 
 
 def _parts(
@@ -424,7 +423,7 @@ def _parts(
     group: str,
     kind: type[_P],
     order: str,
-    complete: Callable[[Reader, str, dict[str, Any]], None] | None = None,
+    complete: Callable[[str, dict[str, Any], Problems], None] | None = None,
 ) -> list[_P]:
     """Return the parts of a group in the order of one of their values; parts that were read before stay as they are."""
     given = reader.mapping(group, tables.get(group, {}))
@@ -436,82 +435,6 @@ def _parts(
         path = f"{group}.{label}"
         values = reader.table(path, table, kind, siblings=given)
         if complete:
-            complete(reader, path, values)
+            complete(path, values, reader.problems)
         found.append(kind(label=label, **values))
     return sorted(found, key=attrgetter(order))
-
-
-#: mm, of a sensor whose thickness is not given: a common silicon wafer.
-_SENSOR = 0.3
-#: Radii, of a layer whose length is not given: the acceptance is |cos(theta)| < 0.93.
-_LENGTH = 5.0
-
-
-def complete_measurement(reader: Reader, path: str, values: dict[str, Any]) -> None:
-    """Add length and thickness to the values (native units) of a measurement layer where they are missing.
-
-    `sigma`, `pitch` and `x0` are removed: they stand for the values of both coordinates and for a thickness.
-    """
-    for name in ("sigma", "pitch"):
-        both = values.pop(name, None)
-        for view in "xv":
-            if both is not None and f"{name}_{view}" in values:
-                reader.note(f"{path}.{name}", "also " + f"{name}_{view}", "one of both")
-            elif both is not None:
-                values[f"{name}_{view}"] = both
-    x0 = values.pop("x0", None)
-    if x0 is not None and "thickness" in values:
-        reader.note(f"{path}.x0", "also thickness", "one of both")
-    elif x0 is not None:
-        values["thickness"] = x0 * getattr(values["material"], "x0", UNUSABLE)
-    values.setdefault("thickness", _SENSOR)
-    values.setdefault("readout", DEFAULT_READOUTS[MeasurementLayer])
-    values.setdefault("length", _LENGTH * values["radius"])
-
-
-def complete_layer(_reader: Reader, _path: str, values: dict[str, Any]) -> None:
-    """Add strips_x, stereo and strips_v to the values (native units) of a CGEM layer where they are missing.
-
-    An `offset_v` of ``"centred"`` becomes a number.
-
-    The stereo angle is that of the sheet's diagonal in whole strips, as in the readout of the BESIII CGEM
-    (docs/methods/detector.md). `stereo_sign` is removed.
-    """
-    values.setdefault("readout", DEFAULT_READOUTS[CgemLayer])
-    sign = values.pop("stereo_sign", 1)
-    if "strips_x" not in values:
-        radius = values["anode_radius"] + values.get("readout_offset", 0.0)
-        values["strips_x"] = strips_x(radius, values["sheets"], values["pitch_x"])
-    width = (values["strips_x"] - 1) * values["pitch_x"]
-    if "stereo" not in values:
-        values["stereo"] = sign * math.atan2(width, values["length"])
-    if "strips_v" not in values:
-        values["strips_v"] = strips_v(width, values["length"], values["stereo"], values["pitch_v"])
-    if values.get("offset_v") == CENTRED:
-        values["offset_v"] = centred_v(values)
-
-
-def strips_x(radius: float, sheets: int, pitch: float) -> int:
-    """Return how many whole X strips fit on a sheet."""
-    return _floor(2 * math.pi * radius / (sheets * pitch))
-
-
-def strips_v(width: float, length: float, stereo: float, pitch: float) -> int:
-    """Return how many whole V strips fit between two corners of a sheet.
-
-    `width` runs from the first X strip to the last. With the stereo angle of the diagonal this is the experiment's
-    2 length sin(stereo)/pitch.
-    """
-    return _floor((width * math.cos(stereo) + length * math.sin(abs(stereo))) / pitch)
-
-
-def centred_v(values: dict[str, Any]) -> float:
-    """Return the `offset_v` with which both corners of a sheet have the same room beside the V strips."""
-    stereo = values["stereo"]
-    extent = values["strips_x"] * values["pitch_x"] * math.cos(stereo) + values["length"] * math.sin(abs(stereo))
-    return float(0.5 * (extent / values["pitch_v"] - values["strips_v"]))
-
-
-def _floor(value: float) -> int:
-    # A value that could not be read stays unusable; its problem has been noted.
-    return value if math.isnan(value) else math.floor(value)  # type: ignore[return-value]

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cgemit.base.errors import shown
-from cgemit.detector.keys import CELLS, Key, Known, keys_of
-from cgemit.detector.parts import DriftChamber, Superlayer, WireLayer
-from cgemit.detector.reader import FOR_ALL_LAYERS, GENERATED, LAST_WIRE_LAYER, UNUSABLE, WIRE_NUMBER, Reader
+from cgemit.detector.keys import CELLS, UNUSABLE, Key, Known, keys_of
+from cgemit.detector.layers.wires import DriftChamber, Superlayer, WireLayer
+from cgemit.detector.reader import FOR_ALL_LAYERS, GENERATED, LAST_WIRE_LAYER, WIRE_NUMBER, Reader
 from cgemit.units import NATIVE
 
 # More than any detector has: a mistake, or meant to exhaust the memory.

@@ -18,18 +18,13 @@ from cgemit.detector.detector import Detector, preset
 from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, SolenoidField
 from cgemit.detector.gas import gap_columns, gap_table
 from cgemit.detector.keys import once
+from cgemit.detector.layers import Layer
+from cgemit.detector.layers.layer import IN_PLACE
+from cgemit.detector.layers.wires import DriftChamber, WireLayer
 from cgemit.detector.material import Material
-from cgemit.detector.matter import ENDLESS, NUMBERS, Slab, hole_table, slabs
-from cgemit.detector.parts import (
-    IN_PLACE,
-    Contents,
-    DriftChamber,
-    Layer,
-    Shell,
-    WireLayer,
-    extent,
-    pitches,
-)
+from cgemit.detector.matter import hole_table, slabs
+from cgemit.detector.parts import Contents, extent
+from cgemit.detector.shells import ENDLESS, NUMBERS, Shell, Slab
 
 Ints = npt.NDArray[np.int32]
 
@@ -442,7 +437,7 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "stereo", "offset_v", "dead_seam", "dead_ends")
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
-    pitch = np.array([pitches(layer) for layer in layers], dtype=np.float64).reshape(-1, 2).T
+    pitch = np.array([layer.pitches for layer in layers], dtype=np.float64).reshape(-1, 2).T
     columns |= {"pitch_x": pitch[0].copy(), "pitch_v": pitch[1].copy()}
     for view in "XV":
         columns[f"has_{view.lower()}"] = np.array([view in layer.views for layer in layers], dtype=np.uint8)

@@ -16,8 +16,8 @@ from cgemit.detector.build import library, read_contents
 from cgemit.detector.check import geometry_problems
 from cgemit.detector.material import x0_of_fractions
 from cgemit.detector.matter import row_shells
-from cgemit.detector.parts import Contents, Shell
-from cgemit.detector.readouts import GaussianReadout
+from cgemit.detector.parts import Contents
+from cgemit.detector.shells import Shell
 
 _M = 1000.0  # mm
 _COLUMNS = 13
@@ -421,28 +421,23 @@ def _written(detector: Contents) -> Iterator[Row]:
         for part in cylinders:
             shell = Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material)
             yield _row((shell,), part.label)
-    gem = GaussianReadout()
-    for layer in detector.cgem:
-        for shells in layer.stacks():
-            views = [(0.0, gem.sigma_x), (layer.stereo, gem.sigma_v)] if shells[0].group == "drift" else []
-            yield _row(shells, f"{layer.label}-{shells[0].group}", views)
-    for sensor in detector.layer:
-        x, v = sensor.errors
-        measured = [(0.0, x)] * (x > 0) + [(sensor.stereo, v)] * (v > 0)
-        for number, shells in enumerate(sensor.stacks()):
-            row = _row(shells, f"{sensor.label}{'-support' * number}", [] if number else measured)
-            yield row if number else replace(row, efficiency=sensor.efficiency)
+    for layer in detector.barrels:
+        x, v = layer.card_errors
+        for number, shells in enumerate(layer.stacks()):
+            measures = bool(layer.views) and shells[0].group == layer.sensitive
+            views = [(0.0, x)] * (x > 0) + [(layer.stereo, v)] * (v > 0) if measures else []
+            row = _row(shells, layer.card_label(number, shells[0].group), views)
+            yield replace(row, efficiency=layer.efficiency) if measures else row
     chamber = detector.drift_chamber
     begin = chamber.layers[0].r_mid if chamber else 0.0
     edges = [part.r_out for part in (*detector.beam_pipe, *detector.walls)]
-    edges += [layer.r_out for layer in detector.cgem] + [layer.r_out for layer in detector.layer]
+    edges += [layer.r_out for layer in detector.barrels]
     before = max((edge for edge in edges if edge < begin), default=0.0)
     for wires in chamber.layers if chamber else ():
         width = min(wires.r_mid - before, 4 * math.pi * wires.r_mid / wires.cells)
         before = wires.r_mid
-        tilt = math.atan(wires.r_end * math.sin(0.5 * wires.twist) / wires.half_length)
         assert chamber is not None
-        row = _row(row_shells(chamber, wires, width), f"wires{wires.number}", [(tilt, wires.sigma)], gas=True)
+        row = _row(row_shells(chamber, wires, width), f"wires{wires.number}", [(wires.tilt, wires.sigma)], gas=True)
         yield replace(row, efficiency=wires.efficiency)
 
 
@@ -472,7 +467,7 @@ def _check_readable(text: str, rows: Sequence[Row], source: str) -> None:
     tables = _tables(text, source, "card", Path())
     read = problems.collect(read_contents, source, tables, problems)
     if read is not None:
-        problems.extend(geometry_problems(read.beam_pipe, read.cgem, read.layer, read.walls, read.drift_chamber))
+        problems.extend(geometry_problems(read.beam_pipe, read.barrels, read.walls, read.drift_chamber))
     problems.report(source, DetectorError)
 
 

@@ -17,9 +17,10 @@ from cgemit.detector import check, delphes, export, variants
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import CARD, field_tables, is_file, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known, once
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, Labelled, Layer, Readout, cgem_layers
+from cgemit.detector.layers import CgemLayer, Layer
+from cgemit.detector.parts import Contents, Cylinder, cgem_layers
 from cgemit.detector.reader import merged, readout_of, readout_table, set_path
-from cgemit.detector.readouts import DEFAULT_READOUTS
+from cgemit.detector.readouts import Readout
 from cgemit.tables import Table
 from cgemit.units import NATIVE
 
@@ -43,7 +44,7 @@ class Detector(Contents):
     def __post_init__(self) -> None:
         super().__post_init__()
         problems = check.value_problems(self) + check.geometry_problems(
-            self.beam_pipe, self.cgem, self.layer, self.walls, self.drift_chamber
+            self.beam_pipe, self.barrels, self.walls, self.drift_chamber
         )
         if problems:
             raise DetectorError(self.name, problems)
@@ -210,7 +211,7 @@ def _groups(detector: Detector) -> tuple[ReadoutGroup, ...]:
             found.append((layer.readout, [number]))
         else:
             numbers.append(number)
-    found = found or [(DEFAULT_READOUTS[CgemLayer], [])]
+    found = found or [(CgemLayer.usual_readout, [])]
     return tuple(ReadoutGroup(detector, readout, tuple(numbers)) for readout, numbers in found)
 
 
@@ -394,8 +395,7 @@ def replace_readout(detector: Detector, readout: Readout | str | Mapping[str, An
 
 @once
 def _with_readout(detector: Detector, readout: Readout) -> Detector:
-    layers = Labelled(replace(layer, readout=readout) for layer in detector.cgem)
-    return replace(detector, cgem=layers)
+    return replace(detector, barrels=[layer.with_readout(readout) for layer in detector.barrels])  # type: ignore[arg-type]
 
 
 def bounds(detector: Detector, key: str) -> tuple[float, float]:
@@ -424,7 +424,7 @@ def bounds(detector: Detector, key: str) -> tuple[float, float]:
 
 def _order(detector: Detector) -> list[str]:
     """Return the parts from inside outward."""
-    parts: list[Cylinder | Layer] = [*detector.beam_pipe, *detector.cgem, *detector.layer, *detector.walls]
+    parts: list[Cylinder | Layer] = [*detector.beam_pipe, *detector.barrels, *detector.walls]
     found = [(part.r_in, part.label) for part in parts]
     if detector.drift_chamber:
         found += [(layer.r_mid, str(layer.number)) for layer in detector.drift_chamber.layers]

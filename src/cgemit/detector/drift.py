@@ -12,7 +12,8 @@ import numpy.typing as npt
 from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
-from cgemit.detector.parts import Contents, DriftChamber
+from cgemit.detector.layers.wires import DriftChamber
+from cgemit.detector.parts import Contents
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,7 @@ def check_wire_times(detector: Detector) -> None:
     ValueError
         Naming the missing keys of the detector file and their layers.
     """
-    layers = detector.drift_chamber.layers if detector.drift_chamber else ()
+    layers = detector.wires
     missing = {
         "signal_speed": [str(layer.number) for layer in layers if layer.signal_speed == 0],
         "readout_end": [str(layer.number) for layer in layers if np.isnan(layer.z_readout)],
@@ -160,7 +161,7 @@ def propagation_time(detector: Detector, layer: Rows, z: Floats | float) -> Floa
 def _of_layers(detector: Detector, layer: Rows, *names: str) -> tuple[Floats, ...]:
     """Return values of the wire layers with these numbers, (n,) float64 each."""
     check_wire_times(detector)
-    layers = detector.drift_chamber.layers if detector.drift_chamber else ()
+    layers = detector.wires
     numbers = np.array([one.number for one in layers], np.int64)
     wrong = np.setdiff1d(layer, numbers)
     if len(wrong):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import itertools
-import math
 import os
 import re
 from collections.abc import Container, Mapping, Sequence
@@ -18,50 +17,31 @@ from cgemit.detector.build import library
 from cgemit.detector.check import unreachable
 from cgemit.detector.field import KINDS, MapField, field_text, kind_key
 from cgemit.detector.files import OWN_MAP, write_field_map
-from cgemit.detector.keys import CELLS, CENTRED, Key, default, keys_of, once, opened, required_of
+from cgemit.detector.keys import CELLS, CENTRED, Key, default, file_keys, keys_of, once, opened, required_of
+from cgemit.detector.layers import LAYER_KINDS, CgemLayer
+from cgemit.detector.layers.layer import PLACEMENT, STRIPS, SubLayer, strip_text
+from cgemit.detector.layers.wires import CellWire, DriftChamber, DriftPoint, ErrorPoint, Superlayer, WireLayer
 from cgemit.detector.material import DensityEffect, Material, elements
-from cgemit.detector.matter import ENDLESS, Slab, slabs
-from cgemit.detector.parts import (
-    PLACEMENT,
-    BackgroundLevel,
-    CellWire,
-    CgemLayer,
-    Contents,
-    Cylinder,
-    DriftChamber,
-    DriftPoint,
-    ErrorPoint,
-    Layer,
-    MeasurementLayer,
-    RatePoint,
-    Readout,
-    Shell,
-    SubLayer,
-    Superlayer,
-    WireLayer,
-)
+from cgemit.detector.matter import slabs
+from cgemit.detector.parts import BackgroundLevel, Contents, Cylinder, RatePoint
 from cgemit.detector.reader import (
-    EXTRA,
     FOR_ALL_LAYERS,
     GENERATED,
     MOST_POINTS,
     NAME,
-    STRIPS,
     TOP_LEVEL,
     WIRE_NUMBER,
-    strip_text,
 )
-from cgemit.detector.readouts import DEFAULT_READOUTS, READOUTS
+from cgemit.detector.readouts import READOUTS, Readout
+from cgemit.detector.shells import ENDLESS, Shell, Slab
 from cgemit.units import NATIVE, format_quantity, units_of
 
 
 def lines(detector: Contents) -> list[str]:
     """Return one line for the field and for each part that measures."""
     found = [f"field {field_text(detector.field)}"]
-    for layer in detector.cgem:
-        found.append(f"cgem {layer.label}: {layer.text()}")
-    for sensor in detector.layer:
-        found.append(f"layer {sensor.label}: {sensor.text()}")
+    for group, layers in detector.by_kind():
+        found += [f"{group} {layer.label}: {layer.text()}" for layer in layers]
     if detector.drift_chamber:
         found.append(f"drift chamber: {detector.drift_chamber.text()}")
     if detector.background:
@@ -110,9 +90,9 @@ def describe(detector: Contents) -> dict[str, Any]:
         "field_t": detector.field.bz,
         "field": field_text(detector.field),
         "material": material,
-        "cgem": [_cgem(layer) for layer in detector.cgem],
-        "layers": [_sensor(layer) for layer in detector.layer],
-        "wires": [_wires(layer, gid) for layer, gid in wires],
+        "cgem": [layer.described() for layer in detector.cgem],
+        "layers": [layer.described() for layer in detector.layer],
+        "wires": [layer.described(gid) for layer, gid in wires],
         "unreachable": unreachable(detector),
     }
 
@@ -120,8 +100,7 @@ def describe(detector: Contents) -> dict[str, Any]:
 def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
     first = slab.shells[0]
     middle = 0.5 * (slab.r_in + slab.r_out)
-    measuring: list[Layer] = [*detector.cgem, *detector.layer]
-    owner = next((layer.label for layer in measuring if layer.r_in < middle < layer.r_out), None)
+    owner = next((layer.label for layer in detector.barrels if layer.r_in < middle < layer.r_out), None)
     names = {"pipe": "beam pipe", "drift": "drift gap", "gas": "chamber gas"}
     part = names.get(first.group, first.group)
     rows = [
@@ -145,72 +124,12 @@ def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
     }
 
 
-def _cgem(layer: CgemLayer) -> dict[str, Any]:
-    return {
-        "layer": layer.label,
-        "r_mid_gap_mm": layer.r_mid,
-        "r_readout_mm": layer.r_readout,
-        "length_mm": layer.length,
-        "drift_gap_mm": layer.drift_gap,
-        "hole_outer_um": 1000 * layer.hole_outer,
-        "hole_inner_um": 1000 * layer.hole_inner,
-        "hole_pitch_um": 1000 * layer.hole_pitch,
-        "sheets": layer.sheets,
-        "phi_first_deg": math.degrees(layer.phi_first) % 360,
-        "pitch_x_um": 1000 * layer.pitch_x,
-        "pitch_v_um": 1000 * layer.pitch_v,
-        "strips_x": layer.strips_x,
-        "strips_v": layer.strips_v,
-        "offset_v": layer.offset_v,
-        "stereo_deg": math.degrees(layer.stereo),
-    }
-
-
-def _sensor(layer: MeasurementLayer) -> dict[str, Any]:
-    x, v = layer.errors
-    return {
-        "layer": layer.label,
-        "radius_mm": layer.radius,
-        "length_mm": layer.length,
-        "material": layer.material.name,
-        "thickness_mm": layer.thickness,
-        "views": " ".join(layer.views),
-        "error_x_um": 1000 * x,
-        "error_v_um": 1000 * v,
-        "error_tan_um": 1000 * layer.sigma_tan,
-        "pitch_x_um": 1000 * layer.pitch_x,
-        "pitch_v_um": 1000 * layer.pitch_v,
-        "stereo_deg": math.degrees(layer.stereo),
-        "efficiency": layer.efficiency,
-        "sigma_time_ns": layer.sigma_time,
-    }
-
-
-def _wires(layer: WireLayer, gid_first: int) -> dict[str, Any]:
-    tilt = math.atan(layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length)
-    return {
-        "layer": layer.number,
-        "cells": layer.cells,
-        "gid_first": gid_first,
-        "r_end_mm": layer.r_end,
-        "r_mid_mm": layer.r_mid,
-        "half_length_mm": layer.half_length,
-        "twist_deg": math.degrees(layer.twist),
-        "tilt_mrad": 1000 * tilt,
-        "phi_east_deg": math.degrees(layer.phi_east),
-        "sigma_um": 1000 * layer.sigma,
-        "sigma_slope_um_per_mm": 1000 * layer.sigma_slope,
-        "efficiency": layer.efficiency,
-    }
-
-
 def to_dict(detector: Contents) -> dict[str, Any]:
     """Return the tables of a complete detector file: quantities as text in native units, all digits kept."""
     tables: dict[str, Any] = {"name": detector.name, "description": detector.description}
     tables["field"] = _table(detector.field)
     tables["beam_pipe"] = {part.label: _table(part) for part in detector.beam_pipe}
-    tables["cgem"] = {layer.label: _table(layer) for layer in detector.cgem}
-    tables["layer"] = {layer.label: _table(layer) for layer in detector.layer}
+    tables |= {group: {layer.label: _table(layer) for layer in layers} for group, layers in detector.by_kind()}
     tables["walls"] = {part.label: _table(part) for part in detector.walls}
     if detector.drift_chamber:
         tables["drift_chamber"] = _table(detector.drift_chamber)
@@ -240,7 +159,7 @@ def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any
     return tables | {"materials": {material.name: material for material in own_materials(detector)}}
 
 
-_GROUPS = ("beam_pipe", "cgem", "layer", "walls", "background")
+_GROUPS = ("beam_pipe", *LAYER_KINDS, "walls", "background")
 
 
 @once
@@ -253,15 +172,9 @@ def own_materials(detector: Contents) -> list[Material]:
 def materials_of(detector: Contents) -> list[Material]:
     """Return every material of a detector."""
     found = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
-    for layer in detector.cgem:
-        found += [layer.gas, *(part.material for part in (*layer.cathode, *layer.foil, *layer.anode))]
-    for sensor in detector.layer:
-        found += [sensor.material, *(part.material for part in sensor.support)]
-    if detector.drift_chamber:
-        found += [detector.drift_chamber.gas, detector.drift_chamber.wire_material]
-        for wires in detector.drift_chamber.layers:
-            found += [*([wires.gas] if wires.gas else []), *(one.material for one in wires.cell_wires)]
-    return found
+    for _, layers in detector.by_kind():
+        found += [material for layer in layers for material in layer.materials()]
+    return [*found, *(detector.drift_chamber.materials() if detector.drift_chamber else ())]
 
 
 def to_toml(detector: Contents) -> str:
@@ -304,6 +217,8 @@ def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
     keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
     keys = {name: key for name, key in keys.items() if not key.quiet or getattr(part, name) != default(kind, name)}
+    usual = getattr(part, "usual_readout", None)
+    keys = {name: key for name, key in keys.items() if key.kind != "readout" or getattr(part, name) != usual}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
     if found.get("sigma_points"):
         found |= dict.fromkeys(("sigma", "sigma_slope"))
@@ -311,7 +226,7 @@ def _table(part: Any) -> dict[str, Any]:
 
 
 def _value(value: Any, kind: str) -> Any:
-    if value is None or value in DEFAULT_READOUTS.values():
+    if value is None:
         return None
     if isinstance(value, Readout):
         return _readout(value)
@@ -392,8 +307,7 @@ def _top(complete: bool) -> dict[str, Any]:
     kinds: dict[str, dict[str, Any]] = {
         "field": _field(complete),
         "beam_pipe": _labelled(_schema_table(Cylinder, complete)),
-        "cgem": _labelled(_layer(CgemLayer, complete)),
-        "layer": _labelled(_layer(MeasurementLayer, complete)),
+        **{group: _labelled(_layer(kind, complete)) for group, kind in LAYER_KINDS.items()},
         "walls": _labelled(_schema_table(Cylinder, complete)),
         "drift_chamber": _chamber(complete),
         "background": _labelled(_schema_table(BackgroundLevel, complete=False)),
@@ -407,7 +321,7 @@ def _top(complete: bool) -> dict[str, Any]:
     }
     found = {"type": "object", "properties": properties, "additionalProperties": False}
     if complete:
-        found |= {"required": ["field"], "anyOf": [{"required": [one]} for one in ("cgem", "layer", "drift_chamber")]}
+        found |= {"required": ["field"], "anyOf": [{"required": [one]} for one in (*LAYER_KINDS, "drift_chamber")]}
     return found
 
 
@@ -449,7 +363,7 @@ def _layer(kind: type, complete: bool) -> dict[str, Any]:
 
 
 def _schema_table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    keys = {**keys_of(kind), **EXTRA.get(kind, {})}
+    keys = file_keys(kind)
     properties = {name: _schema_value(key) for name, key in keys.items()} | dict(more or {})
     found = {"type": "object", "properties": properties, "additionalProperties": False}
     return {**found, "required": sorted(required_of(kind))} if complete else found

@@ -26,8 +26,10 @@ from cgemit.base.errors import Problems, refuse
 from cgemit.base.files import read_text
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
+from cgemit.detector.layers import CgemLayer, Layer
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CgemLayer, Contents, Shell, cgem_layers
+from cgemit.detector.parts import Contents, cgem_layers
+from cgemit.detector.shells import Shell
 
 REST_ENERGY = 510.99895  # keV, of the electron (PDG 2024)
 AVOGADRO = 6.02214076e23  # 1/mol
@@ -234,14 +236,16 @@ def cluster_shares(name: str) -> ClusterShares:
 
 
 @once
-def most_lost(layer: CgemLayer) -> float:
+def most_lost(layer: Layer) -> float:
     """Return the probability that a minimum ionizing particle straight across a layer frees too few electrons.
 
     Parameters
     ----------
-    layer : CgemLayer
-        Of which `Readout.least_electrons` counts.
+    layer : Layer
+        Of which `Readout.least_electrons` counts; without gas, none are lost.
     """
+    if layer.gas is None:
+        return 0.0
     ionizations = np.array(_fewest_per_mm(layer.gas) * layer.drift_gap)
     return 1 - float(enough_electrons(layer.gas, ionizations, layer.readout.least_electrons))
 
@@ -262,9 +266,7 @@ def ionization_of(gas: Material) -> Ionization:
 
 def w_values(detector: Contents) -> Floats:
     """Return the mean energy per electron of ionization in the gas of each layer, (layers,), keV; 1 without gas."""
-    return np.array(
-        [ionization_of(layer.gas).w_value if isinstance(layer, CgemLayer) else 1.0 for layer in detector.layers]
-    )
+    return np.array([ionization_of(layer.gas).w_value if layer.gas else 1.0 for layer in detector.layers])
 
 
 def _ratio(gas: Material, table: Ionization) -> float:
@@ -368,12 +370,12 @@ def _depths(groups: Sequence[Sequence[Shell]], gap: int) -> list[float]:
     return [sum(mass[i + 1 : gap]) if i < gap else sum(mass[gap + 1 : i]) for i in range(len(groups))]
 
 
-def slices(layer: CgemLayer) -> NDArray[np.float64]:
+def slices(layer: Layer) -> NDArray[np.float64]:
     """Return the matter around a gap cut into slices, one row each from the gap inward, then outward.
 
     Parameters
     ----------
-    layer : CgemLayer
+    layer : Layer
 
     Returns
     -------
@@ -384,7 +386,7 @@ def slices(layer: CgemLayer) -> NDArray[np.float64]:
 
     """
     shells = list(layer.shells())
-    gap = [shell.group for shell in shells].index("drift")
+    gap = [shell.group for shell in shells].index(layer.sensitive)
     energy = np.asarray(LEAST_ENERGY * SLICE_RATIO ** np.arange(120.0), np.float64)
     borders = practical_range(energy)
     rows = []
@@ -404,14 +406,16 @@ def slices(layer: CgemLayer) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=64)
-def gap_columns(layer: CgemLayer) -> dict[str, Any]:
+def gap_columns(layer: Layer) -> dict[str, Any]:
     """Return a gap as the core takes it: dicts of columns (float64) and numbers, see ``detector/gap.hpp``.
 
-    Equal layers share one result, which must not be changed.
+    Equal layers share one result, which must not be changed. It is empty for a layer without gas.
     """
+    if layer.gas is None:
+        return {}
     shells = list(layer.shells())
-    groups = _groups(shells, [shell.group for shell in shells].index("drift"))
-    gap = [group[0].group for group in groups].index("drift")
+    groups = _groups(shells, [shell.group for shell in shells].index(layer.sensitive))
+    gap = [group[0].group for group in groups].index(layer.sensitive)
     density = [sum(s.material.density * s.thickness for s in g) / sum(s.thickness for s in g) for g in groups]
     table = ionization_of(layer.gas)
     cut = slices(layer)
@@ -444,7 +448,7 @@ def gap_columns(layer: CgemLayer) -> dict[str, Any]:
 
 def gap_table(detector: Contents) -> list[dict[str, Any]]:
     """Return the gaps of a detector, one per layer, as the core takes them; an empty one without gas."""
-    return [gap_columns(layer) if isinstance(layer, CgemLayer) else {} for layer in detector.layers]
+    return [gap_columns(layer) for layer in detector.layers]
 
 
 #: Largest magnetic field of the tables, T: the line through 0 and 1 T is continued that far.

@@ -15,7 +15,8 @@ import numpy as np
 from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector
 from cgemit.detector.gas import drift_columns
-from cgemit.detector.parts import CgemLayer, cgem_layers
+from cgemit.detector.layers import CgemLayer
+from cgemit.detector.parts import cgem_layers
 
 #: Shares of the way through the induction gap between which the current of a strip counts as constant. Amplitudes
 #: behind the shapers of `tiger` and `apv25` are then within 1 % of the charge of those of the exact current.

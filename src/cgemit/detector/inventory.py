@@ -10,7 +10,7 @@ from itertools import pairwise
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import NotNegative
 from cgemit.detector.detector import Detector
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.layers import CgemLayer
 from cgemit.units import GEV_PER_T_MM
 
 
@@ -88,8 +88,7 @@ def inner_radius(detector: Detector) -> float:
 def gaps(detector: Detector) -> list[float]:
     """Return the free space inside and outside each measuring layer up to the next part, mm, from inside outward."""
     spans = [(part.r_in, part.r_out, False) for part in (*detector.beam_pipe, *detector.walls)]
-    spans += [(layer.r_in, layer.r_out, False) for layer in detector.layer if not layer.views]
-    spans += [(layer.r_in, layer.r_out, True) for layer in detector.layers]
+    spans += [(layer.r_in, layer.r_out, bool(layer.views)) for layer in detector.barrels]
     if detector.drift_chamber:
         first = detector.drift_chamber.layers[0]
         spans.append((first.r_mid, first.r_end, False))

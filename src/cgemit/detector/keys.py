@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, wraps
-from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+from types import MappingProxyType
+from typing import Any, ClassVar, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Quantity, constraint_of, expected, kinds_of
@@ -20,7 +22,30 @@ _KEPT = "_kept"
 
 
 class Part:
-    """An immutable dataclass that keeps what functions with `once` made of it; neither equality nor files see that."""
+    """An immutable dataclass that keeps what functions with `once` made of it; neither equality nor files see that.
+
+    Attributes
+    ----------
+    extra_keys : mapping
+        Keys that a file may hold beside those of the fields.
+    """
+
+    extra_keys: ClassVar[Mapping[str, Key]] = MappingProxyType({})
+
+    def hint_of(self, name: str) -> str:
+        """Return a hint for a value out of its range; nothing if there is none."""
+        return ""
+
+    def extra_value(self, name: str) -> float | None:
+        """Return the value of one of `extra_keys`; None if it has none."""
+        return None
+
+    def inner(self) -> Iterator[tuple[str, Part]]:
+        """Yield the parts in this one with their paths from here: rows of stacks and of wires."""
+        kind: Any = type(self)
+        for name, one in keys_of(kind).items():
+            if one.kind in ("stack", "wires"):
+                yield from ((f"{name}[{i}]", row) for i, row in enumerate(getattr(self, name)))
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != _KEPT}
@@ -46,6 +71,10 @@ def once(make: Callable[Concatenate[_P, _A], _R]) -> Callable[Concatenate[_P, _A
 
     return kept
 
+
+#: A value whose problem has been noted. Arithmetic with it stays unusable and no check of it fails, so the rest of the
+#: part can still be checked.
+UNUSABLE: Any = math.nan
 
 #: Name of an `offset_v` that follows from the other values of a layer.
 CENTRED = "centred"
@@ -138,10 +167,24 @@ def _opened(part: Part) -> dict[str, Known]:
 
 @cache
 def keys_of(kind: Any) -> dict[str, Key]:
-    """Return the keys of a dataclass by name, in the order of its fields: those of settings by their annotations."""
+    """Return the keys of a dataclass by name, as the classes first state them: those of settings by their annotations.
+
+    A field that a class makes a key stands where this class has it, although a base may have the field before.
+    """
     if issubclass(kind, SettingsData):
         return {name: _key_of(one) for name, one in kinds_of(kind).items()}
-    return {f.name: f.metadata["key"] for f in dataclasses.fields(kind) if "key" in f.metadata}
+    stated: dict[str, None] = {}
+    for one in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
+        fields: Any = one.__dict__["__dataclass_fields__"]
+        stated |= dict.fromkeys(name for name in one.__annotations__ if "key" in fields[name].metadata)
+    found = {f.name: f.metadata["key"] for f in dataclasses.fields(kind) if f.name in stated}
+    return {name: found[name] for name in stated}
+
+
+@cache
+def file_keys(kind: Any) -> dict[str, Key]:
+    """Return the keys that the table of a part may have in a file."""
+    return {**keys_of(kind), **getattr(kind, "extra_keys", {})}
 
 
 def _key_of(kind: Any) -> Key:

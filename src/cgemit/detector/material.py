@@ -8,12 +8,13 @@ import re
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib import resources
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit.detector.keys import Part, key
+from cgemit.detector.keys import Key, Part, key
 
 FINE_STRUCTURE = 1 / 137.035999084
 K = 0.307075e-3  # GeV cm2/mol, 4 pi N_A r_e^2 m_e c^2 (PDG 2024, "Passage of particles through matter")
@@ -62,6 +63,8 @@ class Material(Part):
     >>> gas.name, gas.gas, round(gas.x0 / 1000)  # m
     ('CgemGas', True, 122)
     """
+
+    extra_keys = MappingProxyType({"base": Key("text", doc="the material that this one is, at another density")})
 
     name: str
     density: float = field(metadata=key("density", "density", 1e-6, 25.0))  # g/cm3

@@ -4,122 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cgemit import _core
-from cgemit.detector.check import TOUCH
 from cgemit.detector.keys import once
-from cgemit.detector.material import Element, Material
-from cgemit.detector.parts import CgemLayer, Contents, Cylinder, DriftChamber, MeasurementLayer, Shell, WireLayer
-
-#: Numbers of a slab, in the order of `Row.numbers`: mm, but `x0` dimensionless and `xi` in GeV.
-NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
-
-
-class Row(NamedTuple):
-    """What the core needs of a slab: the columns `NUMBERS`, the Bethe logarithm, (Z, A, mol/cm2) of its elements."""
-
-    numbers: tuple[float, ...]
-    log_terms: NDArray[np.float64]  # (LOSS_POINTS,)
-    elements: NDArray[np.float64]  # (elements, 3)
-
-
-@once
-def _compiled(material: Material) -> _core.detector.Material:
-    grid = _core.detector.LOSS_GRID_FIRST + _core.detector.LOSS_GRID_STEP * np.arange(
-        _core.detector.LOSS_POINTS, dtype=np.float64
-    )
-    elements = [(_first(one), moles * material.density * 0.1) for one, moles in material.elements()]
-    return _core.detector.Material(
-        x0=material.x0, xi=material.xi_per_mm, log_term=material.log_term(grid),
-        elements=[(id(one), one.z, one.a, per_mm) for one, per_mm in elements],
-    )  # fmt: skip
-
-
-@cache
-def _first(element: Element) -> Element:
-    """Return the first element that was equal, so that equal ones are the same object."""
-    return element
-
-
-def row_of(shells: Sequence[Shell]) -> Row:
-    """Return the row of neighbouring shells that act as one scatterer.
-
-    Parameters
-    ----------
-    shells : sequence of Shell
-    """
-    _, _, r_in, r_out, half_lengths, materials = zip(*shells, strict=True)
-    made = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
-    radius, spread, x0, xi, log_terms, elements = _core.detector.sum_shells(
-        materials=[made[id(material)] for material in materials], r_in=r_in, r_out=r_out
-    )
-    numbers = (max(half_lengths), r_in[0], max(r_out), radius, spread, x0, xi)
-    return Row(numbers, log_terms, elements)
-
+from cgemit.detector.layers.wires import DriftChamber, WireLayer
+from cgemit.detector.material import Material
+from cgemit.detector.parts import Contents, Cylinder
+from cgemit.detector.shells import ENDLESS, TOUCH, Holes, Shell, Slab
 
 #: RNG places of slabs that only a lattice has count from here, so that other slabs keep theirs.
 _FIRST_PLACE = 1 << 16
-
-
-class Holes(NamedTuple):
-    """A hexagonal lattice of holes through one sub-layer of a foil.
-
-    Their radius is `waist` in the middle of the foil and grows by `widening` per mm from there; `begin` and `end` tell
-    where the sub-layer lies, outward from the middle of the foil.
-    """
-
-    foil: int  # running number in the detector
-    pitch: float  # mm
-    waist: float  # mm
-    widening: float
-    begin: float  # mm
-    end: float  # mm
-
-
-def perforated(layer: CgemLayer, first_foil: int) -> Iterator[tuple[Shell, Holes | None]]:
-    """Yield the foils of a layer and the gas behind each, sub-layer by sub-layer: foils solid, and with holes.
-
-    Parameters
-    ----------
-    layer : CgemLayer
-    first_foil : int
-        Running number of the layer's first foil.
-
-    """
-    shells = [shell for shell in layer.shells() if shell.group == "foils"]
-    n = len(layer.foil)
-    for number in range(layer.foils):
-        *parts, gas = shells[number * (n + 1) : (number + 1) * (n + 1)]
-        for shell, holes in zip(parts, _holes(layer, first_foil + number), strict=True):
-            yield shell._replace(material=shell.material.solid()), holes
-        yield gas, None
-
-
-def _holes(layer: CgemLayer, foil: int) -> Iterator[Holes]:
-    """Yield the holes of each sub-layer of a foil.
-
-    The first and the last of three or more sub-layers are electrodes, with cylindrical holes; between them holes are
-    double cones with their waist in the middle.
-    """
-    edges = np.cumsum([0.0, *(part.thickness for part in layer.foil)])
-    edges -= 0.5 * edges[-1]
-    last = len(layer.foil) - 1
-    inner = slice(1, last) if last > 1 else slice(0, last + 1)
-    low, high = edges[inner.start], edges[inner.stop]
-    middle = 0.5 * (low + high)
-    cone = (layer.hole_outer - layer.hole_inner) / (high - low)
-    for i, (begin, end) in enumerate(zip(edges[:-1] - middle, edges[1:] - middle, strict=True)):
-        electrode = not inner.start <= i < inner.stop
-        shape = (0.5 * layer.hole_outer, 0.0) if electrode else (0.5 * layer.hole_inner, cone)
-        yield Holes(foil, layer.hole_pitch, *map(float, (*shape, begin, end)))
 
 
 def hole_table(holes: Sequence[Holes | None], groups: Sequence[str], merge: bool) -> dict[str, NDArray[np.generic]]:
@@ -162,70 +62,7 @@ def _places(groups: Sequence[str], merge: bool) -> list[int]:
     return places
 
 
-ENDLESS = 1e9  # mm, half length of air
 _LUMP = 70.0  # mm of chamber gas that act as one scatterer: about four wire layers
-
-
-@dataclass(frozen=True)
-class Slab:
-    """Neighbouring shells that act as one scatterer; `gap` is the CGEM layer whose drift gap this is, or -1.
-
-    Examples
-    --------
-    >>> from cgemit.detector import slabs
-    >>> slabs = slabs(cg.load("besiii-cgem"))
-    >>> [slab.gap for slab in slabs if slab.gap >= 0]  # drift gaps
-    [0, 1, 2]
-    """
-
-    shells: tuple[Shell, ...]
-    gap: int = -1
-    holes: Holes | None = None  # of a part of a foil at the density of its solid matter
-
-    @property
-    def filler(self) -> int:
-        """What fills the space between parts: 0 for a part, 1 for air, 2 for gas of the drift chamber."""
-        return {"air": 1, "gas": 2}.get(self.shells[0].group, 0)
-
-    @property
-    def r_in(self) -> float:
-        """Inner radius, mm."""
-        return self.shells[0].r_in
-
-    @cached_property
-    def r_out(self) -> float:
-        """Outer radius, mm."""
-        return max(shell.r_out for shell in self.shells)
-
-    @property
-    def x0(self) -> float:
-        """Thickness in radiation lengths at normal incidence."""
-        return sum(shell.x0 for shell in self.shells)
-
-    @property
-    def xi(self) -> float:
-        """(K/2) sum of Z/A times mass thickness at normal incidence, GeV."""
-        return sum(shell.xi for shell in self.shells)
-
-    @property
-    def radius(self) -> float:
-        """Centroid of the scattering power, mm."""
-        return self.row.numbers[3]
-
-    @property
-    def spread(self) -> float:
-        """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
-        return self.row.numbers[4]
-
-    @cached_property
-    def row(self) -> Row:
-        """What the core needs of it; a variant shares most slabs with its base."""
-        return row_of(self.shells)
-
-    def log_term(self, ln_betagamma: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return -2 ln(I/GeV) - delta - 2 C/Z, (n,) float64, averaged over the shells with their xi."""
-        terms = [shell.xi * shell.material.log_term(ln_betagamma) for shell in self.shells]
-        return np.asarray(np.sum(terms, axis=0) / self.xi, dtype=np.float64)
 
 
 def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> list[Slab]:
@@ -251,60 +88,15 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
     3
     """
     solid = [*_cylinders("pipe", detector.beam_pipe, merge), *_cylinders("wall", detector.walls, merge)]
-    foils = 0
+    lattice, foils = foil == "lattice", 0
     for number, layer in enumerate(detector.layers):
-        if isinstance(layer, CgemLayer):
-            solid += _layer(layer, number, foils, merge, foil == "lattice")
-            foils += layer.foils
-        else:
-            solid += _sensor(layer, number, merge)
-    for layer in detector.layer:
-        solid += () if layer.views else _sensor(layer, -1, merge)
+        made = layer.slabs(number, merge, lattice, foils)
+        foils += len({slab.holes.foil for slab in made if slab.holes})
+        solid += made
+    for layer in detector.barrels:
+        solid += () if layer.views else layer.slabs(-1, merge, lattice, 0)
     solid.sort(key=lambda slab: slab.r_in)
     return sorted(solid + _fillers(detector, solid, merge), key=lambda slab: slab.r_in)
-
-
-#: The keys of a CGEM layer that its matter depends on.
-_MATTER = ("anode_radius", "length", "drift_gap", "transfer_gap", "induction_gap", "foils", "hole_outer", "hole_inner",
-           "hole_pitch", "gas", "cathode", "foil", "anode")  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Matter:
-    """A CGEM layer that is equal to others of the same matter, whatever their strips are."""
-
-    values: tuple[object, ...]
-    layer: CgemLayer = field(compare=False)
-
-
-@once
-def _layer(layer: CgemLayer, number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
-    """Return the slabs of a CGEM layer; `number` is its own, `first_foil` that of its first foil in the detector."""
-    matter = _Matter(tuple([getattr(layer, name) for name in _MATTER]), layer)
-    return _same_matter(matter, number, first_foil, merge, lattice)
-
-
-@lru_cache(maxsize=256)
-def _same_matter(matter: _Matter, number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
-    found, layer = [], matter.layer
-    if lattice:
-        found += [Slab((shell,), holes=holes) for shell, holes in perforated(layer, first_foil)]
-    for shells in layer.stacks():
-        group = shells[0].group
-        if not lattice or group != "foils":
-            gap = number if group == "drift" else -1
-            found += [Slab(part, gap) for part in ([shells] if merge else [(shell,) for shell in shells])]
-    return tuple(found)
-
-
-@once
-def _sensor(layer: MeasurementLayer, number: int, merge: bool) -> tuple[Slab, ...]:
-    """Return the slabs of a measurement layer: the sensor, where the track is measured, and the support behind it."""
-    sensor, *support = layer.stacks()
-    return (
-        Slab(sensor, number),
-        *(Slab(part) for part in (support if merge else [(one,) for run in support for one in run])),
-    )
 
 
 @lru_cache(maxsize=256)

@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import pairwise
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, joined, shown
 from cgemit.base.validate import NO, entries
-from cgemit.detector.keys import CELLS, CENTRED, Key, Known, keys_of, opened, plain, required_of
+from cgemit.detector.keys import CELLS, CENTRED, UNUSABLE, Key, Known, file_keys, keys_of, opened, plain, required_of
+from cgemit.detector.layers import LAYER_KINDS, CgemLayer, Layer
+from cgemit.detector.layers.layer import STRIPS, SubLayer
+from cgemit.detector.layers.wires import CellWire, DriftPoint, ErrorPoint
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
-from cgemit.detector.parts import (
-    CellWire,
-    CgemLayer,
-    DriftPoint,
-    ErrorPoint,
-    Layer,
-    MeasurementLayer,
-    RatePoint,
-    Readout,
-    SubLayer,
-)
-from cgemit.detector.readouts import DEFAULT_READOUTS, OF_LAYERS, READOUTS
+from cgemit.detector.parts import RatePoint
+from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.units import NATIVE
 
-#: Sheet and strips of a list of strips.
-STRIPS = r"([0-9]{1,2}):([0-9]{1,6})(?:-([0-9]{1,6}))?"
 #: Most entries of a list of rates.
 MOST_POINTS = 100
 
@@ -48,11 +37,6 @@ def writable(text: str) -> bool:
     return True
 
 
-def strip_text(sheet: int, first: int, last: int) -> str:
-    """Return a range of strips as a file has it, such as ``0:17`` or ``1:100-120``."""
-    return f"{sheet}:{first}" if first == last else f"{sheet}:{first}-{last}"
-
-
 TOP_LEVEL = {
     "base": "the preset or file that this one changes",
     "name": "name of the detector, used in results",
@@ -60,8 +44,7 @@ TOP_LEVEL = {
     "remove": 'parts of the base to leave out, such as ["cgem.L2", "drift_chamber"]',
     "field": "magnetic field",
     "beam_pipe": "cylinders of the beam pipe by label",
-    "cgem": "CGEM layers by label",
-    "layer": "other layers that measure positions, by label",
+    **{group: kind.about for group, kind in LAYER_KINDS.items()},
     "readout": "readout of the CGEM layers that state none: a name, or a table; in a variant, of all of the base's",
     "walls": "further cylinders by label",
     "drift_chamber": "drift chamber; sigma, sigma_slope, sigma_points, diffusion, efficiency, wire_x0, cell_wires, "
@@ -79,26 +62,6 @@ NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAME
 
 #: What the label of a wire layer must match, and its largest number.
 WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
-
-
-#: Keys that a file may hold beside those of the dataclass.
-EXTRA: dict[type, dict[str, Key]] = {
-    CgemLayer: {"stereo_sign": Key("sign", doc="sign of the stereo angle where the angle itself is left out")},
-    MeasurementLayer: {
-        "sigma": Key("length", 1e-4, 100.0, doc="error of both coordinates, for sigma_x and sigma_v"),
-        "pitch": Key("length", 1e-3, 100.0, doc="pitch of both coordinates, for pitch_x and pitch_v"),
-        "x0": Key("dimensionless", 1e-7, 0.5, doc="thickness of the sensor in radiation lengths, for thickness"),
-    },
-    Material: {"base": Key("text", doc="the material that this one is, at another density")},
-    SubLayer: {
-        "label": Key("text", doc="label of the sub-layer; the material's name if left out"),
-    },
-}
-
-
-#: A value whose problem has been noted. Arithmetic with it stays unusable and no check of it fails, so the rest of the
-#: part can still be checked.
-UNUSABLE: Any = math.nan
 
 
 #: Values that were read before and may have changed: materials, and stacks of them.
@@ -155,7 +118,7 @@ class Reader:
             What is read instead of the keys of `kind`.
 
         """
-        keys = keys or _keys(kind)
+        keys = keys or file_keys(kind)
         values = dict(defaults or {})
         for name, value in entries(
             raw, path, {**keys, **dict.fromkeys(elsewhere)} if elsewhere else keys, self.problems
@@ -282,12 +245,11 @@ class Reader:
         return tuple(points)
 
     def _readout(self, path: str, raw: object, key: Key) -> Any:
-        kind = MeasurementLayer if path.startswith("layer.") else CgemLayer
-        return self.readout(path, raw, kind)
+        return self.readout(path, raw, LAYER_KINDS[path.partition(".")[0]])
 
     def readout(self, path: str, raw: object, kind: type[Layer]) -> Readout:
         """Return the readout of a kind of layers; the usual one after noting what is wrong."""
-        known, usual, before = OF_LAYERS[kind], DEFAULT_READOUTS[kind], len(self.problems)
+        known, usual, before = kind.readouts, kind.usual_readout, len(self.problems)
         table = {"name": usual.name} | readout_table(raw) if isinstance(raw, str | Mapping | Readout) else {"name": raw}
         name = plain(table.pop("name"))
         if not isinstance(name, str) or name not in known:
@@ -401,12 +363,6 @@ class Reader:
         return tuple(tuple(map(float, row)) for row in rows)
 
 
-@cache
-def _keys(kind: Any) -> dict[str, Key]:
-    """Return the keys that the table of a part may have in a file."""
-    return {**keys_of(kind), **EXTRA.get(kind, {})}
-
-
 def _unusable(key: Key) -> Any:
     if key.kind == "stack":
         return (SubLayer(label="", material=UNUSABLE, thickness=UNUSABLE),)
@@ -427,14 +383,6 @@ def _label_hint(path: str, siblings: Iterable[str]) -> str:
 
 #: Key of the material that a material of a variant replaces.
 BELOW = "<below>"
-
-#: Derived values of a CGEM layer in the order of their computation, each with the values that it depends on.
-DERIVED_FROM = {
-    "strips_x": {"anode_radius", "readout_offset", "sheets", "pitch_x"},
-    "stereo": {"strips_x", "pitch_x", "length", "stereo_sign"},
-    "strips_v": {"stereo", "strips_x", "pitch_x", "pitch_v", "length"},
-    "offset_v": {"strips_v", "stereo", "strips_x", "pitch_x", "pitch_v", "length"},
-}
 
 #: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
 #: replaces the listed values of the base's layers.
@@ -477,7 +425,7 @@ def readout_of(given: Readout | str | Mapping[str, Any]) -> Readout:
         kind = type(given).__name__
         hint = f"cgemit.register_readout({kind}, ...) registers it"
         reader.note("readout", f"{kind}(...)", "one of " + ", ".join(READOUTS), hint)
-    found = reader.readout("readout", given, CgemLayer) if not reader.problems else DEFAULT_READOUTS[CgemLayer]
+    found = reader.readout("readout", given, CgemLayer) if not reader.problems else CgemLayer.usual_readout
     reader.problems.report("readout", DetectorError)
     return found
 
@@ -537,18 +485,18 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
     the same objects in the result. Layers with the key `like` are copies of other layers with some values changed.
     """
     copies: dict[str, dict[str, Any]] = {}
-    for group in _DROPS:
+    for group in LAYER_KINDS:
         copies[group] = {label: layer for label, layer in _tables(variant, group).items() if _has_like(layer)}
         if copies[group]:
             variant = {**variant, group: {k: v for k, v in variant[group].items() if k not in copies[group]}}
     result: dict[str, Any] = _copied(base, open_parts="materials" in variant)
     _remove(result, variant.get("remove", []), problems)
     variant = _lay_readout(result, variant)
-    for group, drop in _DROPS.items():
+    for group, kind in LAYER_KINDS.items():
         for label, layer in _tables(variant, group).items():
             if isinstance(layer, Mapping):
                 _lay_own_readout(_open(_tables(result, group), label), layer)
-                drop(_open(_tables(result, group), label), layer)
+                kind.drop_replaced(_open(_tables(result, group), label), layer)
     _drop_field(result, _tables(variant, "field"))
     _drop_wires(_tables(result, "drift_chamber"), variant)
     _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
@@ -614,7 +562,7 @@ def _copy_layer(
     layer = _copied(opened(layers[like]))
     own = {name: value for name, value in changes.items() if name != "like"}
     _lay_own_readout(layer, own)
-    _DROPS[group](layer, own)
+    LAYER_KINDS[group].drop_replaced(layer, own)
     _lay_over(layer, own, label)
     layers[label] = layer
 
@@ -637,48 +585,6 @@ def set_path(tree: dict[str, Any], dotted: str, value: object) -> bool:
 def _tables(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
     found = tree.get(name)
     return found if isinstance(found, dict) else {}
-
-
-def _drop_derived(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
-    """Remove the derived values of a layer of the base that depend on changed values."""
-    changed = set(variant)
-    for name, depends in DERIVED_FROM.items():
-        if name not in variant and changed & depends:
-            old = base.pop(name, None)
-            changed.add(name)
-            old = plain(old)
-            if name == "stereo" and isinstance(old, str | float):
-                base["stereo_sign"] = -1 if str(old).lstrip().startswith("-") else 1
-            if name == "offset_v" and old:
-                base["offset_v"] = CENTRED  # strips that were moved off the corner stay on the sheet
-
-
-#: Values of a measurement layer that a value of a variant replaces.
-_REPLACED = {
-    "sigma": ("sigma_x", "sigma_v"),
-    "pitch": ("sigma_x", "sigma_v", "pitch_x", "pitch_v"),
-    "pitch_x": ("sigma_x",),
-    "pitch_v": ("sigma_v",),
-    "x0": ("thickness",),
-    "thickness": ("x0",),
-}
-
-
-def _drop_replaced(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
-    """Remove what the values of a variant replace; ``sigma`` and ``pitch`` of a base stand for both coordinates."""
-    for both in ("sigma", "pitch"):
-        if both in base and any(f"{one}_{view}" in variant for one in ("sigma", "pitch") for view in "xv"):
-            base |= dict.fromkeys((f"{both}_x", f"{both}_v"), base.pop(both))
-    for name in _REPLACED.keys() & variant.keys():
-        for old in _REPLACED[name]:
-            base.pop(old, None)
-    if "sigma" in variant or "pitch" in variant:
-        for both in ("sigma", "pitch"):
-            base.pop(both, None)
-
-
-#: What of a layer of the base goes where a variant changes it, by group.
-_DROPS = {"cgem": _drop_derived, "layer": _drop_replaced}
 
 
 def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:

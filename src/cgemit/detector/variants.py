@@ -12,11 +12,14 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
-from cgemit.detector.keys import CELLS, Key, Known, Part, default, keys_of, once
+from cgemit.detector.keys import CELLS, Key, Known, Part, default, file_keys, keys_of, once
+from cgemit.detector.layers import LAYER_KINDS, CgemLayer
+from cgemit.detector.layers.layer import SubLayer
+from cgemit.detector.layers.wires import CellWire, DriftChamber
 from cgemit.detector.material import Material
-from cgemit.detector.parts import CellWire, CgemLayer, Contents, DriftChamber, MeasurementLayer, Readout, SubLayer
-from cgemit.detector.reader import EXTRA, FOR_ALL_LAYERS, TOP_LEVEL
-from cgemit.detector.readouts import DEFAULT_READOUTS
+from cgemit.detector.parts import Contents
+from cgemit.detector.reader import FOR_ALL_LAYERS, TOP_LEVEL
+from cgemit.detector.readouts import Readout
 from cgemit.units import NATIVE
 
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"
@@ -55,7 +58,7 @@ def like(label: str, **changes: object) -> dict[str, object]:
     >>> [(layer.label, layer.anode_radius) for layer in det.cgem]
     [('L0', 62.0), ('L1', 87.5), ('L2', 132.5), ('L3', 175.0)]
     """
-    known = [*keys_of(CgemLayer), *EXTRA.get(CgemLayer, ())]
+    known = list(file_keys(CgemLayer))
     problems = [
         Problem(name, shown(value), "a key of a CGEM layer", did_you_mean(name, known))
         for name, value in changes.items()
@@ -169,7 +172,7 @@ def _is_pattern(text: str) -> bool:
 def _root(detector: Contents) -> dict[str, Any]:
     groups = {
         name: {part.label: part for part in getattr(detector, name)}
-        for name in ("beam_pipe", "cgem", "layer", "walls", "background")
+        for name in ("beam_pipe", *LAYER_KINDS, "walls", "background")
     }
     return {"field": detector.field, "drift_chamber": detector.drift_chamber, **groups}
 
@@ -201,8 +204,8 @@ def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
     node: Any = _root(detector)
     for name in parents:
         node = _children(node).get(name)
-    if isinstance(node, MeasurementLayer) and last == "x0":
-        return node.thickness / node.material.x0, EXTRA[MeasurementLayer]["x0"]
+    if isinstance(node, Part) and (extra := node.extra_value(last)) is not None:
+        return extra, node.extra_keys[last]
     kind: Any = type(node)
     keys = keys_of(kind) if dataclasses.is_dataclass(node) else {}
     if last not in keys:
@@ -322,7 +325,8 @@ def _short(value: object) -> str:
 def content_hash(detector: Contents) -> str:
     """Return 16 hexadecimal digits that name the content of a detector, whatever its name and description are."""
     chamber = detector.drift_chamber
-    parts = [detector.field, *detector.beam_pipe, *detector.cgem, *detector.layer, *detector.walls, detector.air]
+    layers = [layer for _, layers in detector.by_kind() for layer in layers]
+    parts = [detector.field, *detector.beam_pipe, *layers, *detector.walls, detector.air]
     digests = [*map(_digest, parts), *([_digest_of_all(chamber)] if chamber else [])]
     digests += map(_digest, detector.background)
     return hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16]
@@ -344,7 +348,7 @@ def _digest(part: Part) -> str:
         if type(value) is float:
             values.append(f"{name}={value!r}")
         elif isinstance(value, Readout):
-            if value not in DEFAULT_READOUTS.values():
+            if value != getattr(part, "usual_readout", None):
                 values.append(f"{name}={value.stated()!r}")
         elif name != "file" and value not in ((), None):  # a map's checksum tells more; as before lists and shifts
             values.append(f"{name}={_text(value)}")

@@ -12,7 +12,8 @@ from matplotlib.collections import LineCollection, PatchCollection, PolyCollecti
 from matplotlib.patches import Rectangle
 
 from cgemit.base.arrays import Floats
-from cgemit.detector.parts import CgemLayer, crossing_z, local_v, strips_of_v, v_of_strips
+from cgemit.detector.layers.cgem import strips_of_v, v_of_strips
+from cgemit.detector.layers.layer import crossing_z, local_v
 from cgemit.draw.event import Array, near
 from cgemit.draw.style import COLORS, Picture, legend_entries, new_picture, plain, statistics_box, style
 
@@ -66,7 +67,7 @@ def crossing(result: Result, event: int, layer: int) -> Crossing:
     )
     pairs = np.flatnonzero((clusters["layer"] == layer) & (clusters["view"] == 2))
     part = result.detector.layers[layer] if 0 <= layer < len(result.detector.layers) else None
-    if part is not None and not isinstance(part, CgemLayer):
+    if part is not None and part.measures_points:
         raise ValueError(f"layer {layer}, {part.label}, has no strips: its clusters are positions")
     rows = np.flatnonzero(truths["layer"] == layer)
     if part is None or not len(pairs) or not len(rows):

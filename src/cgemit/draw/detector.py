@@ -215,11 +215,9 @@ def _rings(detector: Detector) -> Iterator[_Ring]:
         yield _Ring("beam pipe", part.r_in, part.r_out, part.half_length)
     for part in detector.walls:
         yield _Ring("wall", part.r_in, part.r_out, part.half_length)
-    for layer in detector.cgem:
-        yield _Ring("CGEM electrodes and gaps", layer.r_in, layer.r_out, layer.half_length)
-        yield _Ring("CGEM drift gap", layer.r_gap_in, layer.r_gap_out, layer.half_length)
-    for sensor in detector.layer:
-        yield _Ring("layer" if sensor.views else "wall", sensor.r_in, sensor.r_out, sensor.half_length)
+    for _, layers in detector.by_kind():
+        for layer in layers:
+            yield from (_Ring(*ring, layer.half_length) for ring in layer.rings())
 
 
 def _kind(layer: WireLayer) -> str:

@@ -15,7 +15,8 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Rectangle, Wedge
 
 from cgemit.base.files import new_file
-from cgemit.detector.parts import CgemLayer, cgem_numbers
+from cgemit.detector.layers import Layer
+from cgemit.detector.parts import cgem_numbers
 from cgemit.draw.event import (
     Array,
     EventView,
@@ -33,7 +34,7 @@ from cgemit.draw.style import COLORS, Picture, legend_entries, plain, style
 
 if TYPE_CHECKING:
     from cgemit.chain.result import Result
-    from cgemit.detector import CgemLayer, Detector
+    from cgemit.detector import Detector
 
 
 _TITLE_WIDTH = 98  # characters in the width of the picture
@@ -241,7 +242,6 @@ def track_label(p: float) -> str:
 def _anode(axes: Axes, view: EventView, number: int) -> None:
     """Draw the unrolled anode of a layer: fired strips, true crossings, clusters and ghosts."""
     layer = view.detector.layers[number]
-    assert isinstance(layer, CgemLayer)
     digis = view.digis
     for name, code in (("x", 0), ("v", 1)):
         fired = (digis["layer"] == number) & (digis["view"] == code) & (digis["strip"] >= 0)
@@ -263,7 +263,7 @@ def _anode(axes: Axes, view: EventView, number: int) -> None:
     axes.set_title(f"anode of {plain(layer.label)}, unrolled", loc="left")
 
 
-def _unrolled(layer: CgemLayer, sheet: int, view: int, strip: int) -> list[Array]:
+def _unrolled(layer: Layer, sheet: int, view: int, strip: int) -> list[Array]:
     """Return the middle of a strip in degrees and mm, in parts that do not cross ±180 degrees."""
     phi, z = strip_line(layer, sheet, view, strip)
     degrees = (np.degrees(phi) + 180) % 360 - 180

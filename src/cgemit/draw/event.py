@@ -12,7 +12,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from cgemit.chain.settings import fit_settings
-from cgemit.detector.parts import CgemLayer, Cylinder, MeasurementLayer, cgem_numbers, crossing_z, v_of_strips
+from cgemit.detector.layers import Layer
+from cgemit.detector.layers.cgem import v_of_strips
+from cgemit.detector.layers.layer import crossing_z
+from cgemit.detector.parts import Cylinder, cgem_numbers
 from cgemit.draw.style import COLORS, plain, statistics_box
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.particles.species import species
@@ -24,7 +27,7 @@ from cgemit.truth.assign import residuals
 
 if TYPE_CHECKING:
     from cgemit.chain.result import Result
-    from cgemit.detector import CgemLayer, Detector, WireLayer
+    from cgemit.detector import Detector, WireLayer
 
 
 Array = npt.NDArray[np.float64]
@@ -72,7 +75,7 @@ def near(phi: npt.ArrayLike, reference: float) -> Array:
 
 def wire_layers(detector: Detector) -> tuple[WireLayer, ...]:
     """Return the wire layers of a detector; none without a drift chamber."""
-    return detector.drift_chamber.layers if detector.drift_chamber else ()
+    return detector.wires
 
 
 def chamber_begin(detector: Detector) -> float:
@@ -80,9 +83,9 @@ def chamber_begin(detector: Detector) -> float:
     return min((layer.r_mid for layer in wire_layers(detector)), default=np.inf)
 
 
-def matter_parts(detector: Detector) -> list[Cylinder | MeasurementLayer]:
+def matter_parts(detector: Detector) -> list[Cylinder | Layer]:
     """Return the cylinders that measure nothing: beam pipe, walls, and layers of matter alone."""
-    return [*detector.beam_pipe, *detector.walls, *(layer for layer in detector.layer if not layer.views)]
+    return [*detector.beam_pipe, *detector.walls, *(layer for layer in detector.barrels if not layer.views)]
 
 
 def wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Array | float) -> tuple[Array, Array]:
@@ -320,12 +323,12 @@ def _wire_centres(detector: Detector, hits: Table, truths: Table, states: States
     return centres
 
 
-def strip_line(layer: CgemLayer, sheet: int, view: int, strip: int, n: int = 121) -> tuple[Array, Array]:
+def strip_line(layer: Layer, sheet: int, view: int, strip: int, n: int = 121) -> tuple[Array, Array]:
     """Return the middle of a strip on the anode.
 
     Parameters
     ----------
-    layer : CgemLayer
+    layer : Layer
     sheet, view, strip : int
         View 0 X, 1 V.
     n : int
@@ -389,7 +392,6 @@ def cluster_strips(view: EventView, number: int) -> list[ClusterStrips]:
 
 def _of_view(view: EventView, number: int, code: int) -> ClusterStrips | None:
     clusters, digis, layer = view.clusters, view.digis, view.detector.layers[number]
-    assert isinstance(layer, CgemLayer)
     rows = np.flatnonzero((clusters["layer"] == number) & (clusters["view"] == code) & (clusters["first"] >= 0))
     if not len(rows):
         return None

@@ -10,13 +10,13 @@ from cgemit.base.arrays import Floats
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.channels import checked
 from cgemit.detector.gas import most_lost
-from cgemit.detector.parts import Readout
 from cgemit.detector.readouts import (
     AnalogReadout,
     BinaryReadout,
     ChargeReadout,
     PositionReadout,
     ProjectionReadout,
+    Readout,
     names_of,
     part_of,
 )

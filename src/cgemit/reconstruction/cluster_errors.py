@@ -21,7 +21,8 @@ from cgemit.base.arrays import Floats
 from cgemit.detector import Detector
 from cgemit.detector.gas import cluster_shares, cluster_sizes, clusters_per_mm, drift_columns, ionization
 from cgemit.detector.induction import WAY, charges_of_plane, cloud_widths
-from cgemit.detector.parts import CgemLayer, cgem_layers
+from cgemit.detector.layers import CgemLayer
+from cgemit.detector.parts import cgem_layers
 from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, ChipErrors, chip_arguments
 
 #: cos(theta) of tracks for which errors are expected, where these depend on it; linear between, constant beyond.

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from cgemit import _core, helix
 from cgemit.base.errors import did_you_mean
 from cgemit.detector import Detector, compiled, load
-from cgemit.detector.parts import cgem_numbers, crossing_z, local_v, pitches
+from cgemit.detector.layers.layer import crossing_z, local_v
+from cgemit.detector.parts import cgem_numbers
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import Finder, check_found, label_candidates
 from cgemit.reconstruction.clusterers.binary import cluster_errors
@@ -477,7 +478,7 @@ def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | No
     given_errors = np.isfinite(np.where(view == HIT_V, mine["err_v"], mine["err_x"])) | ("err" in mine)
     strips = (mine["first"] >= 0) & (mine["last"] >= mine["first"]) & ~point
     size = np.where(strips, mine["last"] - mine["first"] + 1, 0)
-    pitch_x, pitch_v = pitches(layer)
+    pitch_x, pitch_v = layer.pitches
     of_views = (HIT_X, "x", pitch_x, 0.0, 0), (HIT_V, "v", pitch_v, layer.offset_v, 1)
     for is_view, name, pitch, offset, which in of_views:
         rows, error = view == is_view, mine[f"err_{name}"]

@@ -22,7 +22,7 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector
 from cgemit.detector.drift import BESIII, DriftRelation, _of_layers, propagation_time, relation_of
-from cgemit.detector.parts import local_v
+from cgemit.detector.layers.layer import local_v
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings

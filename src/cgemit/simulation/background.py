@@ -22,7 +22,8 @@ from cgemit.detector import Detector, load
 from cgemit.detector.channels import channels_of, checked
 from cgemit.detector.core import compiled, layer_table, strip_lists
 from cgemit.detector.drift import DriftRelation, relation_of
-from cgemit.detector.parts import BackgroundLevel, WireLayer, cgem_numbers
+from cgemit.detector.layers.wires import WireLayer
+from cgemit.detector.parts import BackgroundLevel, cgem_numbers
 from cgemit.simulation.digitize import without_dead
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems

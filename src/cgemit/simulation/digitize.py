@@ -18,12 +18,14 @@ from cgemit.detector import Detector, ReadoutGroup, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.detector.core import in_dead_area, strip_lists
 from cgemit.detector.drift import propagation_time, relation_of
-from cgemit.detector.parts import Layer, Readout, seen_by
+from cgemit.detector.layers import Layer
+from cgemit.detector.layers.layer import seen_by
 from cgemit.detector.readouts import (
     AnalogReadout,
     BinaryReadout,
     PositionReadout,
     ProjectionReadout,
+    Readout,
     part_of,
 )
 from cgemit.simulation.digitizers import (

@@ -13,13 +13,13 @@ from cgemit.detector import ReadoutGroup, compiled
 from cgemit.detector.core import gain_table
 from cgemit.detector.gas import drift_columns, w_values
 from cgemit.detector.induction import WAY, induced_charges
-from cgemit.detector.parts import Readout
 from cgemit.detector.readouts import (
     AnalogReadout,
     BinaryReadout,
     PositionReadout,
     Precision,
     ProjectionReadout,
+    Readout,
     chip_arguments,
 )
 from cgemit.tables import Table
@@ -96,7 +96,7 @@ class PositionDigitizer(Digitizer):
 
     def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the positions, see `Digitizer.digitize`."""
-        rows = np.array([self.readout.precision(layer) for layer in group.layers], np.float64)
+        rows = np.array([self.readout.precision(layer.precision) for layer in group.layers], np.float64)
         columns = group.among_all(rows.reshape(-1, len(Precision._fields))).T
         digis = _core.simulation.smear_positions(
             compiled(group.detector), dict(truths.columns), gain=self.readout.gain, w_values=w_values(group.detector),

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from cgemit.base.arrays import Floats
 from cgemit.detector import Detector
-from cgemit.detector.parts import local_v, pitches
+from cgemit.detector.layers.layer import local_v
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_V, HIT_X
 
@@ -79,7 +79,7 @@ def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) ->
 def _distances(detector: Detector, clusters: Table, truths: Table, rows: Rows) -> Floats:
     """How far crossings lie from the edge of their cluster (mm), 0 if inside."""
     first, size, layer, view = (clusters[name][rows] for name in ("first", "size", "layer", "view"))
-    of_layer = np.array([pitches(cgem) for cgem in detector.layers]).reshape(-1, 2)
+    of_layer = np.array([layer.pitches for layer in detector.layers]).reshape(-1, 2)
     begins = np.array([(0.0, cgem.offset_v) for cgem in detector.layers]).reshape(-1, 2)
     pitch = of_layer[layer, view]
     position = np.where(view == HIT_X, clusters["x"][rows], clusters["v"][rows])

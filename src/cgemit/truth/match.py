@@ -13,7 +13,6 @@ from cgemit import _core, helix
 from cgemit.base.arrays import Flags, Floats
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
-from cgemit.detector.parts import pitches
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_WIRE, HIT_XV, XV_CLUSTER, FitStatus, is_fitted
 from cgemit.tables.table import kind_problems
@@ -146,7 +145,7 @@ def _shared(detector: Detector, tables: Mapping[str, Table], best: Rows) -> Rows
 
 def _covers(detector: Detector, clusters: Table, truths: Table) -> Flags:
     """Tell which clusters hold the mid-gap point of the crossing that they link to, or end a pitch before it."""
-    of_layer = np.array([pitches(layer) for layer in detector.layers]).reshape(-1, 2)
+    of_layer = np.array([layer.pitches for layer in detector.layers]).reshape(-1, 2)
     pitch = of_layer[clusters["layer"], clusters["view"]]
     off = np.abs(residuals(detector, clusters, truths, np.arange(len(clusters))))
     return np.asarray(off <= (0.5 * clusters["size"] + 1) * pitch)

@@ -244,15 +244,15 @@ def test_detectors_made_in_python_are_checked_too() -> None:
     detector = load("besiii-cgem-design")
     layer = dataclasses.replace(detector.cgem[0], pitch_x=-1.0, strips_v=10_000)
     with pytest.raises(DetectorError) as caught:
-        dataclasses.replace(detector, cgem=(layer, *detector.cgem[1:]))
+        dataclasses.replace(detector, barrels=(layer, *detector.cgem[1:]))
     assert [problem.path for problem in caught.value.problems] == ["cgem.L1.pitch_x", "cgem.L1.strips_v"]
     with pytest.raises(DetectorError, match=r"field\.bz"):
         dataclasses.replace(detector, field=dataclasses.replace(detector.field, bz=math.nan))
     solid = dataclasses.replace(detector.cgem[0], gas=detector.cgem[0].foil[0].material)
     with pytest.raises(DetectorError, match=r"cgem\.L1\.gas: .*which is no gas"):
-        dataclasses.replace(detector, cgem=(solid, *detector.cgem[1:]))
+        dataclasses.replace(detector, barrels=(solid, *detector.cgem[1:]))
     with pytest.raises(DetectorError, match="overlap"):
-        dataclasses.replace(detector, cgem=(detector.cgem[0], *detector.cgem))
+        dataclasses.replace(detector, barrels=(detector.cgem[0], *detector.cgem))
 
 
 @pytest.mark.parametrize("wrong", [{"half_length": 0.0}, {"cells": 0}])

@@ -13,7 +13,7 @@ from cgemit.chain.settings import Settings
 from cgemit.detector import CgemLayer, Detector, compiled, detectors, load, slab_table, slabs
 from cgemit.detector import core as compiling
 from cgemit.detector.core import layer_table, wire_table
-from cgemit.detector.matter import _compiled
+from cgemit.detector.shells import _compiled
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.given_hits import fit_hits

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -9,11 +10,10 @@ import numpy as np
 import pytest
 
 from cgemit import GaussianReadout, load, register_readout
-from cgemit.detector import Detector
+from cgemit.detector import Detector, DetectorError
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.induction import induced_charges
-from cgemit.detector.parts import Readout
-from cgemit.detector.readouts import READOUTS, PositionReadout
+from cgemit.detector.readouts import READOUTS, PositionReadout, Readout
 from cgemit.tables import Table
 
 SENSOR = {"radius": "100 mm", "sigma": "10 um", "material": "Si"}
@@ -105,19 +105,20 @@ def test_tables_of_some_cgem_layers_are_their_rows_among_all() -> None:
     assert (reach, all_planes.tolist()) == (same, planes.tolist())
 
 
-def test_a_cgem_layer_has_no_errors_of_its_own() -> None:
-    """The readout of sensors refuses it; the Gaussian readout gives it errors."""
-    layer = load("besiii-cgem-design").cgem["L2"]
-    for ask in (PositionReadout().precision, PositionReadout().errors):
-        with pytest.raises(ValueError, match="readout positions: got CGEM layer L2, expected a layer with errors"):
-            ask(layer)
+def test_a_cgem_layer_takes_no_readout_of_sensors() -> None:
+    """Nothing states the errors of its positions; the Gaussian readout does."""
+    detector = load("besiii-cgem-design")
+    layer = dataclasses.replace(detector.cgem["L2"], readout=PositionReadout())
+    with pytest.raises(DetectorError, match=r"cgem\.L2\.readout: got positions, expected one of binary, gaussian"):
+        dataclasses.replace(detector, barrels=(layer,))
     readout = GaussianReadout(sigma_x=0.2, sigma_v=0.3)
-    assert (readout.precision(layer), readout.errors(layer)) == ((0.2, 0.3, 0.0), (0.2, 0.3))
+    assert readout.precision(layer.precision) == (0.2, 0.3, 0.0)
+    assert layer.errors == pytest.approx((layer.pitch_x / np.sqrt(12), layer.pitch_v / np.sqrt(12)))
 
 
 def test_a_sensor_measures_as_its_file_says() -> None:
     """Without an error it measures the middle of a strip, with the error pitch/sqrt(12)."""
     keys = {"radius": "100 mm", "material": "Si", "sigma_x": "10 um", "pitch_v": "1 mm", "efficiency": 0.9}
     sensor = with_sensor(VTX={**keys, "sigma_time": "2 ns"}).layer["VTX"]
-    assert PositionReadout().precision(sensor) == (0.01, 0.0, 2.0)
-    assert PositionReadout().errors(sensor) == pytest.approx((0.01, 1 / np.sqrt(12)))
+    assert PositionReadout().precision(sensor.precision) == (0.01, 0.0, 2.0)
+    assert sensor.errors == pytest.approx((0.01, 1 / np.sqrt(12)))

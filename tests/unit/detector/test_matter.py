@@ -548,7 +548,7 @@ def even(detector: Detector, copper: float, kapton: float) -> Detector:
         dataclasses.replace(layer, foil=tuple(map(thin, layer.foil, (copper, kapton, copper))))
         for layer in detector.cgem
     ]
-    return dataclasses.replace(detector, cgem=tuple(layers))
+    return dataclasses.replace(detector, barrels=tuple(layers))
 
 
 def lost(detector: Detector, settings: SimulateSettings) -> np.ndarray:

@@ -14,7 +14,7 @@ import cgemit as cg
 from cgemit import Gun, Settings, _core, helix, load, run
 from cgemit.detector import DetectorError, compiled, slabs
 from cgemit.detector.core import grid_of, strip_gains, strip_lists
-from cgemit.detector.parts import PLACEMENT, Placed, local_v, seen_by
+from cgemit.detector.layers.layer import PLACEMENT, Placed, local_v, seen_by
 from cgemit.fit_matter import tuned
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import cluster_errors
@@ -43,7 +43,7 @@ def test_parts_are_picked_by_number_and_by_label():
     assert [DESIGN.walls[part.label] for part in DESIGN.walls] == list(DESIGN.walls)
     with pytest.raises(KeyError, match="L1, L2, L3"):
         DESIGN.cgem["L4"]
-    thin = dataclasses.replace(DESIGN, cgem=DESIGN.cgem[:2])
+    thin = dataclasses.replace(DESIGN, barrels=DESIGN.cgem[:2])
     again = pickle.loads(pickle.dumps(thin))
     assert again == thin
     assert again.cgem["L2"] == DESIGN.cgem["L2"]

@@ -11,8 +11,9 @@ import pytest
 from cgemit.detector import CgemLayer, DetectorError, detectors, load
 from cgemit.detector.core import layer_table
 from cgemit.detector.export import to_dict
+from cgemit.detector.layers.cgem import v_of_strips
+from cgemit.detector.layers.layer import crossing_z
 from cgemit.detector.matter import slabs
-from cgemit.detector.parts import crossing_z, v_of_strips
 
 DATA = Path(__file__).parents[2] / "data"
 NAMES = ("besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss")

@@ -27,8 +27,9 @@ from cgemit import (
     run,
 )
 from cgemit.detector import DetectorError, ReadoutGroup
-from cgemit.detector.parts import Readout, local_v, strips_of_v
-from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, ChipErrors, TigerReadout
+from cgemit.detector.layers.cgem import strips_of_v
+from cgemit.detector.layers.layer import local_v
+from cgemit.detector.readouts import READOUTS, TIGER, AnalogReadout, Chip, ChipErrors, Readout, TigerReadout
 from cgemit.reconstruction.cluster import CLUSTERERS, cluster, clusterer_of
 from cgemit.reconstruction.cluster_errors import chip_errors
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer

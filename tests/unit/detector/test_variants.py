@@ -16,7 +16,8 @@ from cgemit import _core
 from cgemit.base.errors import DetectorError
 from cgemit.detector import compiled
 from cgemit.detector.core import layer_table, slab_table, wire_table
-from cgemit.detector.matter import _air, _chamber_gas, _cylinders, _same_matter, slabs
+from cgemit.detector.layers.cgem import _same_matter
+from cgemit.detector.matter import _air, _chamber_gas, _cylinders, slabs
 
 DESIGN = cg.load("besiii-cgem-design")
 

@@ -16,7 +16,8 @@ from matplotlib.colors import Normalize, to_hex
 
 import cgemit as cg
 from cgemit.cli.main import main
-from cgemit.detector.parts import crossing_z, v_of_strips
+from cgemit.detector.layers.cgem import v_of_strips
+from cgemit.detector.layers.layer import crossing_z
 from cgemit.draw.display import TRACK_COLORS
 from cgemit.draw.event import helix_points, smooth_curve, strip_line, view_of, wire_positions
 from cgemit.draw.style import COLORS

@@ -8,7 +8,7 @@ from cgemit import FitSettings, Gun, Settings, TigerReadout, _core, run
 from cgemit.detector import load
 from cgemit.detector.core import layer_table
 from cgemit.detector.gas import mean_shift
-from cgemit.detector.parts import strips_of_v
+from cgemit.detector.layers.cgem import strips_of_v
 from cgemit.draw.cluster import crossing
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import MAX_SIZE, cluster_errors, error_table, reference_widths

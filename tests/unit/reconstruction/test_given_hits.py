@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.detector.parts import crossing_z
+from cgemit.detector.layers.layer import crossing_z
 from cgemit.reconstruction.fit import PARAMETERS
 from cgemit.reconstruction.given_hits import RowProblem
 

@@ -23,7 +23,8 @@ from cgemit import (
 )
 from cgemit.detector import compiled, induction
 from cgemit.detector.gas import drift_columns
-from cgemit.detector.parts import local_v, strips_of_v
+from cgemit.detector.layers.cgem import strips_of_v
+from cgemit.detector.layers.layer import local_v
 from cgemit.detector.readouts import APV25, TIGER, Shaper
 from cgemit.simulation import digitize
 from stats import assert_within

@@ -12,7 +12,7 @@ from cgemit.base.arrays import Floats
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import ReadoutGroup
-from cgemit.detector.parts import Readout
+from cgemit.detector.readouts import Readout
 from cgemit.tables import Table
 
 Position = Literal["centre", "charge"]

@@ -41,5 +41,6 @@ class PositionClusterer(Clusterer):
 
     def _errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return the errors of X and V, (layers,), mm; 0 where a layer does not measure."""
-        x, v = np.array([self.readout.errors(layer) for layer in group.layers], np.float64).reshape(-1, 2).T.copy()
+        found = [self.readout.precision(layer.precision).errors(layer.pitch_x, layer.pitch_v) for layer in group.layers]
+        x, v = np.array(found, np.float64).reshape(-1, 2).T.copy()
         return x, v

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
-from cgemit.detector import Detector, MeasurementLayer, WireLayer, load
+from cgemit.detector import Detector, WireLayer, load
 from cgemit.detector.channels import checked
 from cgemit.particles.species import Species, hypothesis_name, hypothesis_of, is_hypothesis
 from cgemit.reconstruction.fit import FitSettings, compiled_matter
@@ -396,7 +396,7 @@ def _pairs(detector: Detector, clusters: Table, number: Column, points: _Points)
 
     Sensors of `[layer.NAME]` measure points: their pairs are certain, with a score of infinity.
     """
-    of_points = np.array([isinstance(layer, MeasurementLayer) for layer in detector.layers], bool)
+    of_points = np.array([layer.measures_points for layer in detector.layers], bool)
     certain = of_points[clusters["layer"]]
     score = np.where(certain, np.inf, np.nan_to_num(clusters["score"]))
     pairs = np.flatnonzero((score != 0) & (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] >= 0))

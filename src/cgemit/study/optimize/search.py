@@ -19,7 +19,7 @@ from cgemit.covariance.result import Covariance
 from cgemit.covariance.sensitivity import SurfacesError, logarithmic_slopes, varied
 from cgemit.detector import Detector
 from cgemit.detector.inventory import gaps
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.layers import CgemLayer
 from cgemit.detector.variants import matching, value_at
 from cgemit.study.optimize.goals import TOLERANCE, Goal, Goals, Limit, Variable, changes_of
 from cgemit.study.sweep.evaluate import Seed, covariances

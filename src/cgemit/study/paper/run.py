@@ -19,8 +19,8 @@ from cgemit.chain import run
 from cgemit.chain.record import write_record
 from cgemit.chain.settings import FinderLike, Settings
 from cgemit.detector import Detector, load
-from cgemit.detector.parts import Readout
 from cgemit.detector.reader import readout_of
+from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Gun
 from cgemit.study.paper.results import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction, make_rows
 from cgemit.study.samples import (

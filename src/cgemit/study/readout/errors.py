@@ -16,7 +16,7 @@ from cgemit.base.validate import check_numbers
 from cgemit.chain.run import run
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.gas import MAX_B, drift_columns
-from cgemit.detector.parts import local_v
+from cgemit.detector.layers.layer import local_v
 from cgemit.detector.readouts import AnalogReadout, ChargeReadout, ChipErrors, Estimator
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import charge_clusterer

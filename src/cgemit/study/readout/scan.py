@@ -21,7 +21,7 @@ from cgemit.chain.result import Result
 from cgemit.chain.run import run
 from cgemit.detector import Detector, load
 from cgemit.detector.gas import transport
-from cgemit.detector.parts import CgemLayer
+from cgemit.detector.layers import CgemLayer
 from cgemit.detector.readouts import AnalogReadout, ChargeReadout, names_of
 from cgemit.draw.cluster import FormationPanel
 from cgemit.particles.gun import Gun

@@ -10,7 +10,7 @@ from scipy.stats import norm
 import cgemit as cg
 from cgemit.analysis.widths import measure
 from cgemit.detector.gas import clusters_per_mm, drift_columns, ionization
-from cgemit.detector.parts import v_of_strips
+from cgemit.detector.layers.cgem import v_of_strips
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.cluster_errors import error_inputs, errors_of

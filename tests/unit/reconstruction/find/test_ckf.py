@@ -637,7 +637,7 @@ def five_layers():
 
 
 @pytest.mark.parametrize(
-    "detector", [five_layers(), dataclasses.replace(DESIGN, cgem=())], ids=["five CGEM layers", "outer chamber"]
+    "detector", [five_layers(), dataclasses.replace(DESIGN, barrels=())], ids=["five CGEM layers", "outer chamber"]
 )
 def test_every_track_is_found_without_new_numbers(detector):
     """Five CGEM layers without a chamber, and the outer chamber alone."""
