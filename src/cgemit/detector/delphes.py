@@ -423,10 +423,10 @@ def _written(detector: Contents) -> Iterator[Row]:
             yield _row((shell,), part.label)
     for layer in detector.barrels:
         x, v = layer.card_errors
-        for number, shells in enumerate(layer.stacks()):
+        for shells in layer.stacks():
             measures = bool(layer.views) and shells[0].group == layer.sensitive
             views = [(0.0, x)] * (x > 0) + [(layer.stereo, v)] * (v > 0) if measures else []
-            row = _row(shells, layer.card_label(number, shells[0].group), views)
+            row = _row(shells, layer.card_label(shells[0].group), views)
             yield replace(row, efficiency=layer.efficiency) if measures else row
     chamber = detector.drift_chamber
     begin = chamber.layers[0].r_mid if chamber else 0.0

@@ -65,7 +65,9 @@ class Row(NamedTuple):
 
 @once
 def _compiled(material: Material) -> _core.detector.Material:
-    grid = _core.detector.LOSS_GRID_FIRST + _core.detector.LOSS_GRID_STEP * np.arange(_core.detector.LOSS_POINTS, dtype=np.float64)
+    grid = _core.detector.LOSS_GRID_FIRST + _core.detector.LOSS_GRID_STEP * np.arange(
+        _core.detector.LOSS_POINTS, dtype=np.float64
+    )
     elements = [(_first(one), moles * material.density * 0.1) for one, moles in material.elements()]
     return _core.detector.Material(
         x0=material.x0, xi=material.xi_per_mm, log_term=material.log_term(grid),

@@ -341,7 +341,14 @@ class CgemLayer(Layer):
 
     @once
     def slabs(self, number: int, merge: bool, lattice: bool, first_foil: int) -> tuple[Slab, ...]:
-        """Return the matter as slabs, see `Layer.slabs`; layers of the same matter share them."""
+        """Return the matter as slabs, see `Layer.slabs`; layers of the same matter share them.
+
+        Parameters
+        ----------
+        number : int
+        merge, lattice : bool
+        first_foil : int
+        """
         matter = _Matter(tuple([getattr(self, name) for name in _MATTER]), self)
         return _same_matter(matter, number, first_foil, merge, lattice)
 

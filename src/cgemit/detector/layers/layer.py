@@ -327,8 +327,14 @@ class Layer(Placed, ABC):
         """Yield the name and the radii, mm, of what pictures of a detector show of it."""
         yield "layer" if self.views else "wall", self.r_in, self.r_out
 
-    def card_label(self, number: int, group: str) -> str:
-        """Return the label of a group of sub-layers, counted from inside, in a Delphes card."""
+    def card_label(self, group: str) -> str:
+        """Return the label of a group of sub-layers in a Delphes card.
+
+        Parameters
+        ----------
+        group : str
+            As of `Shell`.
+        """
         return f"{self.label}-{group}"
 
     # What it is made of

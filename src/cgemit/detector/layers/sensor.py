@@ -177,9 +177,14 @@ class MeasurementLayer(Layer):
             support.append(Shell("support", part.label, r_in, radius, self.half_length, part.material))
         return ((sensor,), tuple(support)) if support else ((sensor,),)
 
-    def card_label(self, number: int, group: str) -> str:
-        """Return the label of the sensor or its support in a Delphes card."""
-        return f"{self.label}-{group}" if number else self.label
+    def card_label(self, group: str) -> str:
+        """Return the label of the sensor or its support in a Delphes card.
+
+        Parameters
+        ----------
+        group : str
+        """
+        return self.label if group == self.sensitive else super().card_label(group)
 
     def materials(self) -> Iterator[Material]:
         """Yield the material of the sensor and those of its support."""
