@@ -80,7 +80,8 @@ def count_particles(result: Result) -> ParticleCounts:
     sign = np.where(np.abs(np.cos(stereo_angle)) > _ALONG, np.sign(stereo_angle), 0)
     crossed = np.minimum(v[:, sign > 0].sum(axis=1), v[:, sign < 0].sum(axis=1))
     of_wire = origins_of(particles, result.wire_truths).linked(wire_hits["wire_truth"])
-    tilted = np.array([layer.twist != 0 for layer in wire_layers(result.detector)], np.bool_)
+    twist = np.array([layer.twist for layer in wire_layers(result.detector)])
+    tilted = twist != 0
     fired = np.zeros((n, len(tilted)), np.bool_)
     on = of_wire.first
     numbers = [layer.number for layer in wire_layers(result.detector)]
@@ -88,11 +89,11 @@ def count_particles(result: Result) -> ParticleCounts:
     fired[owner, layer] = True
     wires, stereo = (np.bincount(owner[which], minlength=n) for which in (slice(None), tilted[layer]))
     crossings = np.bincount(of_truth.owner[truth], minlength=n)
-    axial_layers, stereo_layers = (fired[:, which].sum(axis=1) for which in (~tilted, tilted))
+    axial_layers, plus, minus = (fired[:, which].sum(axis=1) for which in (~tilted, twist > 0, twist < 0))
     across, along = x.sum(axis=1), v.sum(axis=1)
     return ParticleCounts(
         across, along, crossed, wires, stereo, (crossings + wires).astype(np.int64),
-        SeedLayers(x & v, axial_layers + across, stereo_layers + along),
+        SeedLayers(x & v, axial_layers + across, plus + minus + along, np.stack([plus, minus], axis=1)),
     )  # fmt: skip
 
 

@@ -90,6 +90,8 @@ void bind_find(py::module_& module) {
   module.def("circle_layers", &circle_layers, py::kw_only(), py::arg("axial"), py::arg("across"),
              py::arg("single"), py::arg("least_axial"),
              "Return how many layers a circle from the beam line needs where no cells fire by chance.");
+  module.def("view_layers", &view_layers, py::kw_only(), py::arg("layers"), py::arg("least_axial"),
+             "Return how many layers of one stereo sign a circle needs among so many, without axial wires.");
   module.def(
       "find_tracks", &run_find, py::arg("detector"), py::kw_only(), py::arg("event_offsets"), py::arg("hits"),
       py::arg("settings"), py::arg("pairs") = py::dict(),

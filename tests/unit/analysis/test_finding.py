@@ -180,7 +180,7 @@ ALL_STEREO = {
         "gas": "HePropane", "half_length": "1000 mm", "sigma": "150 um", "wires": "none",
         "superlayers": {
             name: {"layers": 6, "r_in": f"{r} mm", "cells": "12 mm", "stereo": angle}
-            for name, r, angle in (("U", 250, "60 mrad"), ("V", 400, "-60 mrad"))
+            for name, r, angle in (("U", 250, "60 mrad"), ("U2", 400, "40 mrad"))
         },
     },
     "materials": {
@@ -202,16 +202,21 @@ def test_findable_particles_in_layers_without_seeds_are_counted():
 
 
 def test_particles_from_behind_the_cgem_have_no_seeds_where_wires_make_none():
+    """Wires of one stereo sign make none; those of both do, as axial ones."""
     inside = cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3))
     outside = cg.Gun("mu-", p=1.0, theta=np.pi / 2, phi=0.1, vertex=("240 mm", 0, 0))
-    result = cg.run("kloe2-like", inside + outside, n=5, seed=3, finder="ckf", until="find")
+    chamber = {"superlayers": {"U": {"layers": 24, "r_in": "290 mm", "cells": "15 mm", "stereo": "60 mrad"}}}
+    one_sign = {"base": "kloe2-like", "drift_chamber": chamber | {"half_length": "1 m"}}
+    result = cg.run(one_sign, inside + outside, n=5, seed=3, finder="ckf", until="find")
     found = cg.study.finding(result)
     assert found.findable.all()
     assert found.seedless.reshape(5, 2).sum(axis=0).tolist() == [0, 5]
     assert not found.found()[found.seedless].any()
     assert "seeds     no track begins in wires alone: it needs X and V in two of L1, L2, L3, L4, since" in repr(result)
-    own = cg.study.finding(cg.run("besiii-cgem", outside, n=5, seed=3, finder="ckf", until="find"))
-    assert not own.seedless.any()
+    for name in ("besiii-cgem", "kloe2-like"):
+        own = cg.study.finding(cg.run(name, outside, n=5, seed=3, finder="ckf", until="find"))
+        assert not own.seedless.any()
+        assert own.found().all()
 
 
 def test_noise_counts_in_the_purity_and_belongs_to_no_particle(run):

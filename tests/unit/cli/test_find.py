@@ -34,8 +34,13 @@ def test_the_command_prints_what_python_gives(capsys):
     assert numbers["belle2"]["wrong_z"]["n"] == numbers["belle2"]["short"]["n"] == len(found.candidates.hits) == 40
 
 
-def test_layers_without_seeds_are_told(capsys):
-    line = ["find", "-d", "kloe2-like", "--p", "1", "--cos-theta", "-0.3:0.3", "-n", "5", "--quiet"]
+def test_layers_without_seeds_are_told(tmp_path, capsys):
+    """Wires of one stereo sign make no seeds: tracks need the CGEM."""
+    one_sign = {"layers": 12, "r_in": "290 mm", "cells": "15 mm", "half_length": "1 m", "stereo": "60 mrad"}
+    text = "\n".join(f"{key} = {json.dumps(value)}" for key, value in one_sign.items())
+    path = tmp_path / "one_sign.toml"
+    path.write_text(f'base = "kloe2-like"\n[drift_chamber.superlayers.U]\n{text}\n', encoding="utf-8")
+    line = ["find", "-d", str(path), "--p", "1", "--cos-theta", "-0.3:0.3", "-n", "5", "--quiet"]
     assert main(line) == 0
     printed = capsys.readouterr().out
     assert re.search(r"layers without seeds +no track begins in wires alone", printed)

@@ -141,10 +141,14 @@ def test_show_reports_problems() -> None:
         call("show", "besiii-cgem-design", "--set", "cgem.L2.pitch_x")
 
 
-def test_validate_tells_layers_in_which_no_track_begins(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("validate", "kloe2-like", "besiii-cgem") == 0
+def test_validate_tells_layers_in_which_no_track_begins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wires of one stereo sign make no seeds."""
+    one_sign = tmp_path / "one-sign.toml"
+    layers = "[drift_chamber.superlayers.U]\nlayers = 12\nr_in = '290 mm'\ncells = '15 mm'\nstereo = '60 mrad'\n"
+    one_sign.write_text(f'base = "kloe2-like"\n{layers}half_length = "1 m"\n', encoding="utf-8")
+    assert call("validate", str(one_sign), "besiii-cgem") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("kloe2-like: good")
+    assert lines[0].endswith("one-sign.toml: good (detector 'one-sign')")
     assert lines[1].startswith(
         "  finder ckf: no track begins in wires alone: it needs X and V in two of L1, L2, L3, L4"
     )

@@ -66,7 +66,8 @@ class FindSettings(SettingsData):
     min_pt : float
         GeV/c, smallest transverse momentum of a seed.
     least_axial : int
-        Layers of axial wires and X clusters that a seed of the chamber needs.
+        Layers of axial wires and X clusters that a seed of the chamber needs; without axial wires, layers of each sign
+        of the stereo angle.
     min_score : float
         Least logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit and 4 for tracks of
         fewer than six hits (in a detector of three CGEM layers alone, beyond 0).
@@ -141,18 +142,21 @@ class SeedLayers(NamedTuple):
         Layers with both X and V; `layers` are those of the detector without wires.
     across, along : ndarray, (n,) int64
         Layers with axial wires or X, and with stereo wires or V.
+    signs : ndarray, (n, 2) int64
+        Layers with stereo wires of positive and of negative twist.
     """
 
     points: Column
     across: Column
     along: Column
+    signs: Column
 
 
 def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -> tuple[Column, Column]:
-    """Return which sets of layers make a seed of the finder: a segment, a circle with a line; both (n,) bool.
+    """Return which sets of layers make a seed of the finder: a segment, circles; both (n,) bool.
 
     Segments need X and V in two layers with one between them at most, circles as many layers across the beam as
-    where no cell fires by chance.
+    where no cell fires by chance and two along it. Without axial wires, a circle of each stereo sign makes a seed, too.
 
     Parameters
     ----------
@@ -164,6 +168,9 @@ def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -
     near = [points[:, :-gap] & points[:, gap:] for gap in (1, _TWO)]
     segments = np.any(np.concatenate(near, axis=1), axis=1) & (settings.method != "chamber")
     circles = (layers.across >= _circle_layers(detector, settings)) & (layers.along >= _TWO)
+    least = _view_layers(detector, settings)
+    if least is not None:
+        circles |= np.all(layers.signs >= least, axis=1)
     return segments, circles & (settings.method != "segments")
 
 
@@ -173,6 +180,15 @@ def _circle_layers(detector: Detector, settings: FindSettings) -> int:
         axial=sum(layer.twist == 0 for layer in wire_layers(detector)), across=sum("X" in one for one in views),
         single=any(len(one) == 1 for one in views), least_axial=settings.least_axial,
     )  # fmt: skip
+
+
+def _view_layers(detector: Detector, settings: FindSettings) -> Column | None:
+    """Return how many layers of each stereo sign make a circle, (2,) int64; None where there are axial wires."""
+    twist = np.array([layer.twist for layer in wire_layers(detector)])
+    if len(twist) == 0 or not np.all(twist):
+        return None
+    signs = (int(np.count_nonzero(twist > 0)), int(np.count_nonzero(twist < 0)))
+    return np.array([_core.reconstruction.view_layers(layers=n, least_axial=settings.least_axial) for n in signs])
 
 
 def seedless(detector: Detector, settings: FindSettings | None = None) -> str:
@@ -191,16 +207,21 @@ def seedless(detector: Detector, settings: FindSettings | None = None) -> str:
     settings = FindSettings.of(settings)
     wires, views = wire_layers(detector), [layer.views for layer in detector.layers]
     x, v = (np.array([name in one for one in views], np.bool_) for name in "XV")
-    axial = sum(layer.twist == 0 for layer in wires)
-    across, along = axial + int(x.sum()), len(wires) - axial + int(v.sum())
-    whole = SeedLayers((x & v)[None], np.array([across]), np.array([along]))
+    plus, minus = sum(layer.twist > 0 for layer in wires), sum(layer.twist < 0 for layer in wires)
+    across, along = len(wires) - plus - minus + int(x.sum()), plus + minus + int(v.sum())
+    whole = SeedLayers((x & v)[None], np.array([across]), np.array([along]), np.array([[plus, minus]]))
     segments, circles = (bool(one[0]) for one in have_seeds(detector, whole, settings))
     if circles or (segments and not wires):
         return ""
     least = _circle_layers(detector, settings)
     lacks = [f"{least} layers with axial wires or X (got {across})"] * (across < least)
     lacks += [f"{_TWO} layers with stereo wires or V (got {along})"] * (along < _TWO)
-    needs = f"circles need {' and '.join(lacks)}" if lacks else "find.method leaves out circles"
+    by_sign, signs = _view_layers(detector, settings), ""
+    if by_sign is not None and not (plus >= by_sign[0] and minus >= by_sign[1]):
+        signs = f", or {by_sign[0]} and {by_sign[1]} of positive and negative stereo angle (got {plus} and {minus})"
+    elif by_sign is not None:
+        lacks = []
+    needs = f"circles need {' and '.join(lacks)}{signs}" if lacks else "find.method leaves out circles"
     if segments:
         labels = ", ".join(layer.label for layer, one in zip(detector.layers, x & v, strict=True) if one)
         return f"no track begins in wires alone: it needs X and V in two of {labels}, since {needs}"

@@ -6,6 +6,7 @@
 #include <tuple>
 
 #include "kalman/filter.hpp"
+#include "reconstruction/find/compete.hpp"
 #include "reconstruction/find/reference_slots.hpp"
 
 namespace cgemit {
@@ -170,13 +171,19 @@ void Annealing::move(std::vector<FoundTrack>& tracks) {
     FoundTrack& winner = tracks[best->track];
     const std::int32_t hit = best->hit;
     const Slot<double>& slot = paths_[best->track]->group.slots[best->slot];
-    const bool tilted = detector_.wires[static_cast<std::size_t>(slot.layer)].twist != 0;
-    int& count = tilted ? loser.along : loser.across;
-    if (count <= (tilted ? 2 : 3)) continue;
-    --count;
-    --loser.wires;
-    ++winner.wires;
-    ++(tilted ? winner.along : winner.across);
+    const double twist = detector_.wires[static_cast<std::size_t>(slot.layer)].twist;
+    const bool by_sign = loser.plus + loser.minus > 0;
+    const auto count = [&](FoundTrack& track, int change) {
+      (twist != 0 ? track.along : track.across) += change;
+      if (by_sign) (twist > 0 ? track.plus : track.minus) += change;
+      track.wires += change;
+    };
+    count(loser, -1);
+    if (!is_track(loser)) {
+      count(loser, 1);
+      continue;
+    }
+    count(winner, 1);
     std::erase(loser.hits, hit);
     owner_[static_cast<std::size_t>(hit)] = static_cast<std::int32_t>(best->track);
     insert(winner, hit, best->track, best->slot);

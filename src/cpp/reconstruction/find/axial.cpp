@@ -34,9 +34,18 @@ int first_column(const AxialPoint& point, int size) {
 }  // namespace
 
 AxialSearch::AxialSearch(const Detector& detector, AxialHits& hits)
-    : detector_(detector), hits_(hits), points_(hits.points()), largest_w_(hits.largest_w()) {}
+    : detector_(detector), hits_(hits), points_(hits.points()), largest_w_(hits.largest_w()) {
+  for (const WireLayer& layer : detector.wires) radius_ = std::max(radius_, std::sqrt(layer.waist));
+}
 
 int AxialSearch::deepest(double w) const {
+  if (hits_.is_view()) {        // until boxes are small where the circle leaves the wires
+    constexpr double size = 4;  // mm
+    constexpr int least_depth = 3, most_depth = 10;
+    const double r = std::min(radius_, 2 / std::max(std::abs(w), 1e-9));
+    const double width = std::max(cell_psi * r, largest_w_ / coarse * r * r);
+    return std::clamp(static_cast<int>(std::ceil(std::log2(width / size))), least_depth, most_depth);
+  }
   const double pt = std::abs(curvature(detector_.bz, 1.0)) / std::max(std::abs(w), 1e-9);
   return pt > 0.15 ? 5 : pt > 0.08 ? 4 : 3;  // slow tracks lose curvature on their way
 }
@@ -244,7 +253,7 @@ void AxialSearch::divide(const Box& box) {
 // The count of a box is that of all its points when it was made; points left out since then lower it.
 std::optional<FoundCircle> AxialSearch::next() {
   if (first_depth_ > 0 && is_stale()) make_grid();
-  while (!heap_.empty() && divided_ < most_boxes) {
+  while (!heap_.empty() && divided_ < limit()) {
     std::ranges::pop_heap(heap_, std::less<>());
     Box box = heap_.back();
     heap_.pop_back();

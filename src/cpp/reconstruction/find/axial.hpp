@@ -28,10 +28,11 @@ class AxialSearch {
   // The circle with the most layers; its hits are left out afterwards. None: too few layers.
   std::optional<FoundCircle> next();
   // Whether boxes were left that might hold circles.
-  bool is_cut() const { return divided_ >= most_boxes && !heap_.empty(); }
+  bool is_cut() const { return divided_ >= limit() && !heap_.empty(); }
 
  private:
-  static constexpr int most_boxes = 1200;  // divided in one grid
+  static constexpr int most_boxes = 1200;                                      // divided in one grid
+  int limit() const { return hits_.is_view() ? 4 * most_boxes : most_boxes; }  // smaller boxes
 
   struct Box {
     int layers, depth;
@@ -101,6 +102,7 @@ class AxialSearch {
   AxialHits& hits_;
   std::vector<AxialPoint>& points_;
   double largest_w_;
+  double radius_ = 0;  // mm, of the outermost wires
   // Of each point: between its two sides it has the curvature y cos psi - x sin psi, 1/mm. `reach`: how far
   // the middle of a box of the first grid is from that at most, if one of its curves crosses the box.
   struct Bands {

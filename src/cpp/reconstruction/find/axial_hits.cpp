@@ -28,6 +28,7 @@ constexpr int slow_layers = 4;
 constexpr int fewest_layers = 3;  // which make a circle with the beam line
 constexpr double per_occupancy_slow = 100;
 constexpr double per_occupancy = 12;  // layers that a seed needs in addition, per share of fired cells
+constexpr double beside_view = 1.5, more_d = 100;  // mm; a height turns into a distance from the beam line
 
 // Drift distance with the side of the circle, minus the distance to the circle with the direction (ux, uy).
 double residual(const FoundCircle& c, double ux, double uy, const AxialPoint& p) {
@@ -46,25 +47,37 @@ int circle_layers(int axial, int across, bool single, int least_axial) {
   return std::min(least_axial, few);
 }
 
-AxialHits::AxialHits(const Detector& detector, const FindSettings& settings)
+int view_layers(int layers, int least_axial) {
+  constexpr int missing = 2, share = 8;
+  return std::max(std::min(least_axial, std::max(layers - missing, fewest_layers)), layers / share);
+}
+
+AxialHits::AxialHits(const Detector& detector, const FindSettings& settings, int sign)
     : detector_(detector),
       settings_(settings),
+      sign_(sign),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
-      slow_w_(std::abs(curvature(detector.bz, 1 / slow_pt))) {}
+      beside_(sign == 0 ? 0 : beside_view),
+      max_d_(settings.max_d + (sign == 0 ? 0 : more_d)),
+      bits_(detector.wires.size()),
+      slow_w_(std::abs(curvature(detector.bz, 1 / slow_pt))) {
+  std::size_t number = detector.layers.size();
+  for (std::size_t i = 0; i < bits_.size(); ++i)
+    if (has(detector.wires[i])) bits_[i] = std::uint64_t{1} << (number++ % 64);
+}
 
-void AxialHits::add(double x, double y, double drift, std::size_t layer, std::int32_t id) {
+void AxialHits::add(double x, double y, double drift, std::uint64_t layer, std::int32_t id) {
   const double squares = x * x + y * y - drift * drift;
   if (!(squares > least_squares)) return;
-  points_.push_back({x, y, drift, 2 / squares, std::uint64_t{1} << (layer % 64), id, false});
+  points_.push_back({x, y, drift, 2 / squares, layer, id, false});
 }
 
 void AxialHits::load(const EventHits& hits) {
   points_.clear();
-  const std::size_t gaps = detector_.layers.size();
   double occupancy = 0;
   int layers = 0;
   for (std::size_t i = 0; i < detector_.wires.size(); ++i) {
-    if (detector_.wires[i].twist != 0) continue;
+    if (!has(detector_.wires[i])) continue;
     occupancy += hits.free_occupancy(i);
     ++layers;
   }
@@ -72,11 +85,13 @@ void AxialHits::load(const EventHits& hits) {
   int across = 0;
   bool single = false;
   for (const MeasuringLayer& plane : detector_.layers) {
+    if (is_view()) break;
     across += plane.has_x ? 1 : 0;
     single = single || plane.has_x != plane.has_v;
   }
   layers_ = layers + across;
-  const int least = circle_layers(layers, across, single, settings_.least_axial);
+  const int least = is_view() ? view_layers(layers, settings_.least_axial)
+                              : circle_layers(layers, across, single, settings_.least_axial);
   least_ = least + static_cast<int>(per_occupancy * share);
   too_many_ = least <= layers_ && layers_ < least_;
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));
@@ -84,13 +99,13 @@ void AxialHits::load(const EventHits& hits) {
     if (hits.is_taken(id)) continue;
     const Hit& hit = hits[id];
     const auto layer = static_cast<std::size_t>(hit.layer);
-    if (hit.view == View::x) {
+    if (hit.view == View::x && !is_view()) {
       const MeasuringLayer& plane = detector_.layers[layer];
       const double phi = azimuth(plane, hit.channel, hit.value), r = plane.r_mid();
-      add(r * std::cos(phi), r * std::sin(phi), 0, layer, id);
-    } else if (hit.view == View::wire && detector_.wires[layer].twist == 0) {
+      add(r * std::cos(phi), r * std::sin(phi), 0, std::uint64_t{1} << (layer % 64), id);
+    } else if (hit.view == View::wire && has(detector_.wires[layer])) {
       const Wire& wire = detector_.wires[layer].placed[static_cast<std::size_t>(hit.channel)];
-      add(wire.x, wire.y, std::max(hit.value, 0.0), gaps + layer, id);
+      add(wire.x, wire.y, std::max(hit.value, 0.0), bits_[layer], id);
     }
   }
 }
@@ -111,7 +126,7 @@ std::optional<FoundCircle> AxialHits::fit(const CircleStart& start, int more) {
       if (p.left_out || along < 0) continue;
       const double off = residual(c, ux, uy, p);
       const double moved = half_psi * along + 0.5 * half_w * (p.x * p.x + p.y * p.y);
-      if (std::abs(off) > std::max(usual, last_window + moved)) continue;
+      if (std::abs(off) > std::max(usual, last_window + moved) + beside_) continue;
       const double across = p.y * ux - p.x * uy;
       const Eigen::Vector3d row(1 - c.w * (across + c.d), -(1 - c.w * c.d) * along,
                                 -c.d * across - 0.5 * c.d * c.d - 0.5 * (p.x * p.x + p.y * p.y));
@@ -129,12 +144,12 @@ std::optional<FoundCircle> AxialHits::fit(const CircleStart& start, int more) {
     c.psi = wrap_angle(c.psi + step[1]);
     c.w += step[2];
   }
-  if (std::abs(c.d) > settings_.max_d || std::abs(c.w) > 1.15 * largest_w_) return std::nullopt;
+  if (std::abs(c.d) > max_d_ || std::abs(c.w) > 1.15 * largest_w_) return std::nullopt;
   const Eigen::Matrix3d inverse = normal.inverse();
   c.covariance = {inverse(0, 0), inverse(0, 1), inverse(0, 2), inverse(1, 1), inverse(1, 2), inverse(2, 2)};
   const double ux = std::cos(c.psi), uy = std::sin(c.psi);
   for (AxialPoint& p : points_)
-    if (!p.left_out && p.x * ux + p.y * uy > 0 && std::abs(residual(c, ux, uy, p)) < last_window)
+    if (!p.left_out && p.x * ux + p.y * uy > 0 && std::abs(residual(c, ux, uy, p)) < last_window + beside_)
       p.left_out = true;
   return c;
 }

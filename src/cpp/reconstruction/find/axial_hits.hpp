@@ -1,5 +1,6 @@
 // The hits of an event that measure across the beam: axial wires and X clusters that no track has taken; and
-// the fit of a circle to those near it.
+// the fit of a circle to those near it. Or, in a chamber without axial wires, the wires of one stereo sign:
+// drawn where they are at z = 0, those of a helix lie on a circle (`views.hpp`).
 #pragma once
 
 #include <array>
@@ -36,7 +37,8 @@ struct AxialPoint {
 
 class AxialHits {
  public:
-  AxialHits(const Detector& detector, const FindSettings& settings);
+  // `sign`: 0 for axial wires and X clusters, 1 or -1 for stereo wires with a twist of this sign.
+  AxialHits(const Detector& detector, const FindSettings& settings, int sign = 0);
 
   void load(const EventHits& hits);
 
@@ -49,17 +51,26 @@ class AxialHits {
   bool are_too_many() const { return too_many_; }
   // 1/mm, of the smallest transverse momentum.
   double largest_w() const { return largest_w_; }
+  double max_d() const { return max_d_; }  // mm, of a circle from the beam line
+  // Of a view of one stereo sign.
+  bool is_view() const { return sign_ != 0; }
+  bool has(const WireLayer& layer) const { return (layer.twist > 0 ? 1 : layer.twist < 0 ? -1 : 0) == sign_; }
+  std::uint64_t bit(std::size_t wire_layer) const { return bits_[wire_layer]; }
 
   // Fits a circle to the hits near a first one; the hits of the circle are left out afterwards. `more`:
   // layers beyond the least number. None: too few layers, or a circle outside of the limits of the settings.
   std::optional<FoundCircle> fit(const CircleStart& start, int more);
 
  private:
-  void add(double x, double y, double drift, std::size_t layer, std::int32_t id);
+  void add(double x, double y, double drift, std::uint64_t layer, std::int32_t id);
 
   const Detector& detector_;
   const FindSettings& settings_;
+  int sign_;
   double largest_w_;
+  double beside_ = 0;  // mm, how far wires of a view may lie beside their circle
+  double max_d_;
+  std::vector<std::uint64_t> bits_;  // of each layer of wires
   std::vector<AxialPoint> points_;
   double slow_w_;
   int least_ = 0, least_slow_ = 0, layers_ = 0;

@@ -32,6 +32,8 @@ void Competition::one_by_one(std::vector<FoundTrack>& tracks) {
       });
       track.across = own.across;
       track.along = own.along;
+      track.plus = own.plus;
+      track.minus = own.minus;
       track.wires = static_cast<int>(std::ranges::count_if(
           track.hits, [&](std::int32_t hit) { return kinds_[static_cast<std::size_t>(hit)].wire; }));
     }
@@ -155,7 +157,9 @@ Competition::Own Competition::own(const FoundTrack& track) const {
       own.score -= track.gains[i];
     else
       ++own.hits;
-    if (!(used && kind.wire)) ++(kind.along ? own.along : own.across);
+    if (used && kind.wire) continue;
+    ++(kind.along ? own.along : own.across);
+    if (kind.sign != 0) ++(kind.sign > 0 ? own.plus : own.minus);
   }
   return own;
 }
@@ -168,7 +172,7 @@ bool Competition::keeps(const FoundTrack& track, const Own& own) const {
     return track.wires == 0 && own.score > min_score_ + doubt + per_hit * own.hits;
   };
   if (shared > most_shared * n && !(shared <= most_shared_clusters * n && is_likely_alone())) return false;
-  return own.across >= 3 && own.along >= 2;
+  return is_track(own);
 }
 
 }  // namespace cgemit

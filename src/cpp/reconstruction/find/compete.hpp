@@ -1,6 +1,7 @@
 // Of tracks that share hits, the likeliest ones keep them.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -9,8 +10,12 @@
 
 namespace cgemit {
 
-// Enough measurements for a helix; the beam line is another one.
-inline bool is_track(const FoundTrack& track) { return track.across >= 3 && track.along >= 2; }
+// Enough measurements for a helix; the beam line is another one. Two wires of opposite stereo signs measure
+// once across the beam.
+template <class Counts>
+bool is_track(const Counts& of) {
+  return of.across + std::min(of.plus, of.minus) >= 3 && of.along >= 2;
+}
 
 inline constexpr double per_hit = 2.5, doubt = 4;
 
@@ -26,8 +31,9 @@ inline bool is_likely(const FoundTrack& track, double min_score) {
 
 // What a hit is to the tracks that compete for it.
 struct HitKind {
-  bool wire;   // a cell is of one track, a cluster may be of two
-  bool along;  // measures along the beam, too
+  bool wire;     // a cell is of one track, a cluster may be of two
+  bool along;    // measures along the beam, too
+  int sign = 0;  // of the stereo angle, in a chamber without axial wires
 };
 
 class Competition {
@@ -47,6 +53,7 @@ class Competition {
     double score;
     int hits = 0;               // that no better track has
     int across = 0, along = 0;  // with shared clusters
+    int plus = 0, minus = 0;    // of these, of each stereo sign
   };
 
   void one_by_one(std::vector<FoundTrack>& tracks);

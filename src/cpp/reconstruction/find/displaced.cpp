@@ -13,45 +13,51 @@ namespace cgemit {
 
 namespace {
 
-constexpr std::size_t ring_layers = 4;
 constexpr std::size_t many_segments = 200;
-constexpr double steepest_segment = 2;  // tangent of the angle between a segment and the radius
-constexpr double off_segment = 0.6;     // mm, of a hit between the ends of a segment, without curvature
-constexpr double assumed_error = 0.3;   // mm
-constexpr double any_distance = 1000;   // mm, distance from the beam line that the fit of a circle expects
-constexpr int more_layers = 1;          // than a circle from the beam line needs
-constexpr double least_lever = 200;     // mm^2, lever of a hit that measures the curvature
+constexpr double steepest_segment = 2;   // tangent of the angle between a segment and the radius
+constexpr double off_segment = 0.6;      // mm, of a hit between the ends of a segment, without curvature
+constexpr double assumed_error = 0.3;    // mm
+constexpr double any_distance = 1000;    // mm, distance from the beam line that the fit of a circle expects
+constexpr int more_layers = 1;           // than a circle from the beam line needs
+constexpr double least_lever = 200;      // mm^2, lever of a hit that measures the curvature
+constexpr std::size_t most_between = 3;  // layers of other views between two of a ring
 
 std::int64_t number_of(const WireLayer& layer, double cell) {
   return static_cast<std::int64_t>(cell - layer.cells * std::floor(cell / layer.cells));
-}
-
-std::uint64_t bit(const Detector& detector, std::size_t layer) {
-  return std::uint64_t{1} << ((detector.layers.size() + layer) % 64);
 }
 
 }  // namespace
 
 DisplacedSearch::DisplacedSearch(const Detector& detector, AxialHits& axial)
     : detector_(detector), axial_(axial) {
+  const std::size_t apart = axial.is_view() ? most_between + 1 : 1;
+  Ring ring{};
   std::size_t run = 0;
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
-    run = detector.wires[i].twist == 0 ? run + 1 : 0;
+    if (!axial.has(detector.wires[i])) continue;
+    if (run > 0 && i - ring[run - 1] > apart) run = 0;
+    ring[run++] = i;
     if (run == ring_layers) {
-      rings_.push_back(i + 1 - ring_layers);
+      rings_.push_back(ring);
       run = 0;
     }
   }
+}
+
+// 1/mm, of tracks at a radius: in a view, of those that come from within `max_d` of the beam line.
+double DisplacedSearch::most_curved(double r) const {
+  const double largest = axial_.largest_w(), from = r - axial_.max_d();
+  return axial_.is_view() && from > 0 ? std::min(largest, 2 / from) : largest;
 }
 
 void DisplacedSearch::start(const EventHits& hits) {
   segments_.clear();
   curves_.clear();
   next_ = 0;
-  for (const std::size_t ring : rings_) {
-    pairs({ring, ring, ring + 3}, hits);
-    pairs({ring, ring, ring + 2}, hits);
-    pairs({ring, ring + 1, ring + 3}, hits);
+  for (const Ring& ring : rings_) {
+    pairs({ring, 0, 3}, hits);
+    pairs({ring, 0, 2}, hits);
+    pairs({ring, 1, 3}, hits);
   }
   // Where cells fire by chance, segments without a missing layer must do, the straightest ones.
   cut_ = segments_.size() >= most_segments;
@@ -69,15 +75,16 @@ void DisplacedSearch::start(const EventHits& hits) {
 
 // Pairs of hits of two layers, not too far apart in azimuth.
 void DisplacedSearch::pairs(const Ends& ends, const EventHits& hits) {
-  const WireLayer &low = detector_.wires[ends.inner], &high = detector_.wires[ends.outer];
+  const std::size_t inner = ends.ring[ends.inner], outer = ends.ring[ends.outer];
+  const WireLayer &low = detector_.wires[inner], &high = detector_.wires[outer];
   const double reach = steepest_segment * (high.r_end - low.r_end) / high.r_end * high.per_radian + 1;
-  for (std::int32_t a = hits.first_wire(ends.inner); a < hits.last_wire(ends.inner); ++a) {
+  for (std::int32_t a = hits.first_wire(inner); a < hits.last_wire(inner); ++a) {
     if (hits.is_taken(a)) continue;
     const Wire& from = low.placed[static_cast<std::size_t>(hits[a].channel)];
     const double at = cell_coordinate(high, std::atan2(from.y, from.x), 0.0);
     for (double c = std::ceil(at - reach); c <= at + reach; c += 1) {
       const std::int64_t other = number_of(high, c);
-      const std::int32_t b = hits.at(ends.outer, other);
+      const std::int32_t b = hits.at(outer, other);
       if (b < 0 || hits.is_taken(b)) continue;
       tangents(ends, {from.x, from.y, std::max(hits[a].value, 0.0)},
                {high.placed[static_cast<std::size_t>(other)].x,
@@ -104,19 +111,18 @@ void DisplacedSearch::tangents(const Ends& ends, const Circle& a, const Circle& 
                       ux,
                       uy,
                       std::hypot(bx - ax, by - ay),
-                      bit(detector_, ends.inner) | bit(detector_, ends.outer),
+                      axial_.bit(ends.ring[ends.inner]) | axial_.bit(ends.ring[ends.outer]),
                       0};
       if (segment.x * ux + segment.y * uy <= 0) continue;
       for (std::size_t layer = ends.inner + 1; layer < ends.outer; ++layer)
-        if (const auto off = closest(segment, layer, hits)) {
-          segment.layers |= bit(detector_, layer);
+        if (const auto off = closest(segment, ends.ring[layer], hits)) {
+          segment.layers |= axial_.bit(ends.ring[layer]);
           segment.off += *off;
         }
       if (std::popcount(segment.layers) < int{ring_layers} - 1) continue;
       // Another pair of layers has it, with all four.
-      const std::size_t last = ends.ring + ring_layers - 1;
-      if (ends.outer < last && closest(segment, last, hits)) continue;
-      if (ends.inner > ends.ring && closest(segment, ends.ring, hits)) continue;
+      if (ends.outer < ring_layers - 1 && closest(segment, ends.ring.back(), hits)) continue;
+      if (ends.inner > 0 && closest(segment, ends.ring.front(), hits)) continue;
       segments_.push_back(segment);
     }
   }
@@ -133,7 +139,8 @@ std::optional<double> DisplacedSearch::closest(const Segment& segment, std::size
   const double step = std::sqrt(root) - along_0;
   const double px = segment.x + step * segment.ux, py = segment.y + step * segment.uy;
   const double at = cell_coordinate(wires, std::atan2(py, px), 0.0);
-  const double bend = 0.5 * axial_.largest_w() * std::abs(0.25 * segment.chord * segment.chord - step * step);
+  const double bend =
+      0.5 * most_curved(wires.r_end) * std::abs(0.25 * segment.chord * segment.chord - step * step);
   std::optional<double> nearest;
   for (double c = std::ceil(at - 1.5); c <= at + 1.5; c += 1) {
     const std::int64_t cell = number_of(wires, c);

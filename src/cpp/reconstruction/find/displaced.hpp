@@ -1,5 +1,5 @@
-// Circles of tracks from anywhere: short segments in neighbouring axial layers, each continued by the
-// curvature that most other axial hits share.
+// Circles of tracks from anywhere: short segments in neighbouring axial layers (or layers of one stereo
+// sign), each continued by the curvature that most other such hits share.
 //
 // A segment touches the drift circles of two wires. A circle through both points of contact, which are
 // `chord` apart, touches a drift circle (x, y, l) if w = 2 (a -+ l)/(x^2 + y^2 - l^2 - chord^2/4), x and y
@@ -7,6 +7,7 @@
 // origin.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -32,9 +33,12 @@ class DisplacedSearch {
   static constexpr std::size_t words = (bins + 63) / 64;
   static constexpr std::size_t most_segments = 2000;
 
-  // Two layers of a ring, four neighbouring axial layers from `ring` on.
+  // Four neighbouring layers, and two of them by their numbers in the ring.
+  static constexpr std::size_t ring_layers = 4;
+  using Ring = std::array<std::size_t, ring_layers>;
   struct Ends {
-    std::size_t ring, inner, outer;
+    const Ring& ring;
+    std::size_t inner, outer;
   };
   struct Circle {
     double x, y, drift;
@@ -61,7 +65,9 @@ class DisplacedSearch {
 
   const Detector& detector_;
   AxialHits& axial_;
-  std::vector<std::size_t> rings_;  // the first layer of each
+  double most_curved(double r) const;
+
+  std::vector<Ring> rings_;
   std::vector<Segment> segments_;
   std::vector<Range> ranges_;
   std::vector<Curve> curves_;

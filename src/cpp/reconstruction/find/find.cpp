@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "common/angles.hpp"
 #include "reconstruction/find/anneal.hpp"
@@ -11,6 +12,7 @@
 #include "reconstruction/find/segments.hpp"
 #include "reconstruction/find/stereo.hpp"
 #include "reconstruction/find/trace_back.hpp"
+#include "reconstruction/find/views.hpp"
 
 namespace cgemit {
 
@@ -31,7 +33,9 @@ class EventFinder {
         annealing_(detector, settings),
         single_(std::ranges::any_of(detector.layers, [](const auto& l) { return l.has_x != l.has_v; })),
         stereo_only_(!detector.wires.empty() &&
-                     std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {}
+                     std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {
+    if (stereo_only_) views_.emplace(detector, settings);
+  }
 
   const std::vector<FoundTrack>& find(std::span<const Hit> hits, std::int64_t first) {
     hits_.load(hits, first);
@@ -52,6 +56,7 @@ class EventFinder {
       reach(limit_segments, segments_.is_cut());
     }
     if (settings_.chamber && !circles_first) from_chamber();
+    if (settings_.chamber && stereo_only_) from_views();
     if (settings_.segments && detector_.layers.size() >= 2) {
       for (const FindSeed& seed : segments_.two_layers(hits_))
         if (!is_found(seed)) try_segment(seed);
@@ -83,8 +88,9 @@ class EventFinder {
     for (std::int32_t id = 0; id < hits_.size(); ++id) {
       const Hit& hit = hits_[id];
       const bool wire = hit.view == View::wire;
-      kinds_.push_back({wire, wire ? detector_.wires[static_cast<std::size_t>(hit.layer)].twist != 0
-                                   : hit.view == View::v});
+      const double twist = wire ? detector_.wires[static_cast<std::size_t>(hit.layer)].twist : 0;
+      const int sign = !stereo_only_ || twist == 0 ? 0 : twist > 0 ? 1 : -1;
+      kinds_.push_back({wire, wire ? twist != 0 : hit.view == View::v, sign});
     }
     competition_.settle(tracks_, kinds_, settings_.min_score);
   }
@@ -181,6 +187,41 @@ class EventFinder {
     reach(limit_heights, stereo_.is_cut());
   }
 
+  // Tracks that are found leave fewer hits, among which others are seen.
+  void from_views() {
+    constexpr int most_rounds = 8;
+    int followed = 0;
+    bool displaced = false;
+    for (int round = 0; round < most_rounds; ++round) {
+      const std::vector<ViewSeed>& seeds = views_->find(hits_, displaced);
+      reach(limit_boxes, views_->boxes_are_cut());
+      reach(limit_local, views_->segments_are_cut());
+      reach(limit_layers, views_->are_too_many());
+      bool any = false;
+      int failures = 0;
+      for (const ViewSeed& seed : seeds) {
+        constexpr std::size_t taken_parts = 3;  // a third of the wires may belong to better tracks
+        const auto taken = static_cast<std::size_t>(
+            std::ranges::count_if(seed.wires, [this](std::int32_t id) { return hits_.is_taken(id); }));
+        if (taken_parts * taken > seed.wires.size()) continue;
+        if (++followed > settings_.max_seeds || failures == most_failures) {
+          reach(limit_circles, followed > settings_.max_seeds);
+          reach(limit_failures, failures == most_failures);
+          break;
+        }
+        ++failures;
+        FindSeed first = seed.seed;
+        if (std::abs(first.helix.kappa) > slow_kappa) before_loss(seed.radius, first);
+        if (!try_seed(first)) continue;
+        failures = 0;
+        any = true;
+      }
+      if (any) continue;
+      if (displaced) return;
+      displaced = true;
+    }
+  }
+
   template <class Search>
   void follow_circles(Search& search, bool bend) {
     int failures = 0;
@@ -224,16 +265,16 @@ class EventFinder {
     c(3, 3) = caution * line.covariance[0] + 4;
     c(3, 4) = caution * line.covariance[1];
     c(4, 4) = caution * line.covariance[2] + 1e-6 * (1 + kappa * kappa);
-    if (std::abs(kappa) > slow_kappa) before_loss(circle, seed);
+    if (std::abs(kappa) <= slow_kappa) return seed;
+    const auto on_wire =
+        std::ranges::find_if(circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
+    if (on_wire != circle.hits.end())
+      before_loss(detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)].r_end, seed);
     return seed;
   }
 
   // The circle of a slow particle in the chamber is that after the loss in front of it.
-  void before_loss(const FoundCircle& circle, FindSeed& seed) const {
-    const auto on_wire =
-        std::ranges::find_if(circle.hits, [this](std::int32_t id) { return hits_[id].view == View::wire; });
-    if (on_wire == circle.hits.end()) return;
-    const double radius = detector_.wires[static_cast<std::size_t>(hits_[*on_wire].layer)].r_end;
+  void before_loss(double radius, FindSeed& seed) const {
     const double kappa = seed.helix.kappa;
     seed.helix = trace_back(detector_, seed.helix, radius, species_of(settings_, kappa));
     const double lost = seed.helix.kappa - kappa;
@@ -252,6 +293,7 @@ class EventFinder {
   AxialSearch axial_;
   DisplacedSearch displaced_;
   StereoSearch stereo_;
+  std::optional<ViewSearch> views_;
   std::vector<HitKind> kinds_;
   Competition competition_;
   Annealing annealing_;

@@ -72,6 +72,8 @@ struct FindOutput {
 // `axial`, `across`: such layers of the detector; `single`: whether it has layers of one coordinate, of which
 // no segments are made, so that all that measure across the beam may be few.
 int circle_layers(int axial, int across, bool single, int least_axial);
+// Layers of one stereo sign that a circle of this view needs, of so many of them.
+int view_layers(int layers, int least_axial);
 
 FindOutput find_tracks(const Detector& detector, const FindInput& input, const FindSettings& settings);
 

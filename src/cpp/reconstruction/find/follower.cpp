@@ -32,6 +32,7 @@ Follower::Follower(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
       nearby_(detector, group_),
+      stereo_only_(std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })),
       log_found_(std::log(settings.efficiency)),
       log_missed_(std::log1p(-settings.efficiency)),
       gap_density_(detector.layers.size()),
@@ -338,7 +339,7 @@ bool Follower::refit(const Branch& best, int times) {
 void Follower::collect(const Branch& best, FoundTrack& track) const {
   track.hits.clear();
   track.gains.clear();
-  track.across = track.along = track.wires = track.layers = 0;
+  track.across = track.along = track.plus = track.minus = track.wires = track.layers = 0;
   std::int32_t lowest = 0, highest = -1, last = -1;  // layers of wires
   track.score = best.score;
   track.holes = best.holes;
@@ -356,8 +357,9 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
     } else {
       lowest = 0;
     }
-    const bool tilted = s.view == View::v || (s.view == View::wire &&
-                                              detector_.wires[static_cast<std::size_t>(s.layer)].twist != 0);
+    const double twist = s.view == View::wire ? detector_.wires[static_cast<std::size_t>(s.layer)].twist : 0;
+    const bool tilted = s.view == View::v || twist != 0;
+    if (stereo_only_ && twist != 0) ++(twist > 0 ? track.plus : track.minus);
     ++(tilted ? track.along : track.across);
   }
   track.spanned = highest - lowest + 1;

@@ -34,6 +34,7 @@ struct FoundTrack {
   std::vector<double> gains;       // of each hit, to the score
   double score = 0, chi2 = 0;
   int across = 0, along = 0;  // measured coordinates across the beam and along it
+  int plus = 0, minus = 0;    // wires of each stereo sign; counted in a chamber without axial wires alone
   int wires = 0, holes = 0;
   // Layers of wires with a hit, and those from the first to the last; from the first one of the chamber if
   // there are clusters.
@@ -90,6 +91,7 @@ class Follower {
   Group<double> group_;
   NearbyHits nearby_;
   const EventHits* hits_ = nullptr;
+  const bool stereo_only_;               // no axial wires
   const double log_found_, log_missed_;  // probabilities that a layer has its hit, or not
   // Logarithms of the density of foreign hits, in the two views of each gap, and of the efficiency over it,
   // in each layer of wires.

@@ -18,8 +18,9 @@ constexpr double slow_d = 15;    // mm, of slower particles from the beam line
 // Of a circle and of its score, in combinations of two clusters.
 constexpr std::int64_t work_of_circle = 10, work_of_score = 40;
 
-// A circle through three points, flown through from the first to the last.
-HelixPoint through(double ax, double ay, double bx, double by, double cx, double cy) {
+}  // namespace
+
+HelixPoint circle_through(double ax, double ay, double bx, double by, double cx, double cy) {
   const double abx = bx - ax, aby = by - ay, acx = cx - ax, acy = cy - ay;
   const double ab = std::hypot(abx, aby), ac = std::hypot(acx, acy), bc = std::hypot(cx - bx, cy - by);
   const double w = 2 * (abx * acy - aby * acx) / (ab * ac * bc);
@@ -28,12 +29,10 @@ HelixPoint through(double ax, double ay, double bx, double by, double cx, double
   return {ax, ay, 0, std::cos(psi), std::sin(psi), 0, w};
 }
 
-double arc(double w, double chord) {
+double arc_of(double w, double chord) {
   const double sine = std::clamp(0.5 * w * chord, -1.0, 1.0);
   return std::abs(sine) < 1e-6 ? chord : 2 * std::asin(sine) / w;
 }
-
-}  // namespace
 
 SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
@@ -119,7 +118,7 @@ bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
 void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, const Point& c,
                           const EventHits& hits) {
   work_ += work_of_circle;
-  HelixPoint at = through(a.x, a.y, b.x, b.y, c.x, c.y);
+  HelixPoint at = circle_through(a.x, a.y, b.x, b.y, c.x, c.y);
   if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
   const PivotApproach line = approach_pivot(at, 0, 0);
   const bool slow = std::abs(at.w) > 1.15 * largest_w_;
@@ -130,8 +129,8 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
   if (std::ranges::count_if(heights_, [](const auto& one) { return !one.empty(); }) < (alone_ ? 2 : 3))
     return;
   work_ += work_of_score;
-  const double s_a = -line.arc, s_b = s_a + arc(at.w, std::hypot(b.x - a.x, b.y - a.y)),
-               s_c = s_a + arc(at.w, std::hypot(c.x - a.x, c.y - a.y));
+  const double s_a = -line.arc, s_b = s_a + arc_of(at.w, std::hypot(b.x - a.x, b.y - a.y)),
+               s_c = s_a + arc_of(at.w, std::hypot(c.x - a.x, c.y - a.y));
   const Circle circle{{a.id, b.id, c.id},
                       {s_a, s_b, s_c},
                       line.d,
@@ -216,11 +215,11 @@ const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
 void SegmentFinder::two(std::size_t inner, std::size_t outer, const Point& a, const Point& c,
                         const EventHits& hits) {
   if (a.x * c.x + a.y * c.y < 0) return;
-  const HelixPoint at = through(0, 0, a.x, a.y, c.x, c.y);
+  const HelixPoint at = circle_through(0, 0, a.x, a.y, c.x, c.y);
   if (std::abs(at.w) > 1.15 * largest_w_) return;
   const Range low_of = heights(hits, inner, a), high_of = heights(hits, outer, c);
   heights_ = {of(low_of), of(high_of), {}};
-  const double s_a = arc(at.w, std::hypot(a.x, a.y)), s_c = arc(at.w, std::hypot(c.x, c.y));
+  const double s_a = arc_of(at.w, std::hypot(a.x, a.y)), s_c = arc_of(at.w, std::hypot(c.x, c.y));
   const double kappa = at.w / curvature(detector_.bz, 1.0);
   for (const Height& low : heights_[0]) {
     work_ += static_cast<std::int64_t>(heights_[1].size());
