@@ -54,26 +54,32 @@ ElectronPhysics electron_physics(const py::dict& values) {
   return physics;
 }
 
-Shaper shaper(const py::tuple& terms_and_delay) {
-  const auto terms = terms_and_delay[0].cast<Array<double>>();
-  return Shaper({terms.data(), static_cast<std::size_t>(terms.size())}, terms_and_delay[1].cast<double>());
+// Terms of a shaper, rows of three, and its delay.
+using ShaperNumbers = std::pair<Array<double>, double>;
+
+Shaper shaper(const ShaperNumbers& numbers) {
+  return {{numbers.first.data(), static_cast<std::size_t>(numbers.first.size())}, numbers.second};
 }
 
 Chip chip(const py::dict& values) {
-  const auto kind = values["kind"].cast<std::string>();
-  if (kind != "tiger" && kind != "apv25") {
-    throw std::invalid_argument("kind: got " + kind + ", expected tiger or apv25");
-  }
-  return {.kind = kind == "tiger" ? ChipKind::tiger : ChipKind::apv25,
-          .timing = shaper(values["timing"].cast<py::tuple>()),
-          .charge = shaper(values["charge"].cast<py::tuple>()),
-          .threshold = {values["threshold_x"].cast<double>(), values["threshold_v"].cast<double>()},
-          .noise = values["noise"].cast<double>(),
-          .jitter = values["jitter"].cast<double>(),
-          .saturation = values["saturation"].cast<double>(),
-          .sample_delay = values["sample_delay"].cast<double>(),
-          .clock = values["clock"].cast<double>(),
-          .samples = values["samples"].cast<int>()};
+  Settings in("chip", values);
+  const std::string kind = in["kind"];
+  const Amplifier amplifier{.threshold = {in["threshold_x"], in["threshold_v"]},
+                            .noise = in["noise"],
+                            .jitter = in["jitter"],
+                            .saturation = in["saturation"]};
+  const ShaperNumbers timing = in["timing"], charge = in["charge"];
+  const double sample_delay = in["sample_delay"], clock = in["clock"];
+  const int samples = in["samples"];
+  in.check();
+  if (kind == Tiger::name)
+    return Tiger{.amplifier = amplifier,
+                 .timing = shaper(timing),
+                 .charge = shaper(charge),
+                 .sample_delay = sample_delay};
+  if (kind == Apv25::name)
+    return Apv25{.amplifier = amplifier, .timing = shaper(timing), .clock = clock, .samples = samples};
+  throw std::invalid_argument("chip kind: got " + kind + ", expected tiger or apv25");
 }
 
 // ns: delays and times of a chip and of the drift are at most as long.
@@ -113,20 +119,33 @@ void check(Problems& problems, const char* name, const Shaper& shaper) {
   }
 }
 
-void check(Problems& problems, const Chip& chip) {
-  constexpr double most_samples = 10'000;
+void check(Problems& problems, const Amplifier& amplifier) {
+  const Part part(problems, "chip");
+  part.within("threshold_x", amplifier.threshold[0], -far, HUGE_VAL);
+  part.within("threshold_v", amplifier.threshold[1], -far, HUGE_VAL);
+  part.within("noise", amplifier.noise, 0, far);
+  part.within("jitter", amplifier.jitter, 0, far);
+  part.within("saturation", amplifier.saturation, 0, HUGE_VAL);
+}
+
+void check(Problems& problems, const Tiger& chip) {
   check(problems, "timing", chip.timing);
   check(problems, "charge", chip.charge);
+  check(problems, chip.amplifier);
+  Part(problems, "chip").within("sample_delay", chip.sample_delay, -longest, longest);
+}
+
+void check(Problems& problems, const Apv25& chip) {
+  constexpr double most_samples = 10'000;
+  check(problems, "timing", chip.timing);
+  check(problems, chip.amplifier);
   const Part part(problems, "chip");
-  part.within("threshold_x", chip.threshold[0], -far, HUGE_VAL);
-  part.within("threshold_v", chip.threshold[1], -far, HUGE_VAL);
-  part.within("noise", chip.noise, 0, far);
-  part.within("jitter", chip.jitter, 0, far);
-  part.within("saturation", chip.saturation, 0, HUGE_VAL);
-  part.within("sample_delay", chip.sample_delay, -longest, longest);
-  if (chip.kind == ChipKind::tiger) return;
   part.within("samples", chip.samples, 1, most_samples);
   part.within("clock", chip.clock, tiny, longest / most_samples);
+}
+
+void check(Problems& problems, const Chip& chip) {
+  std::visit([&](const auto& one) { check(problems, one); }, chip);
 }
 
 // `charges`: an array (planes, places, nodes, strips); `reach`: the strips on either side of an avalanche.

@@ -1,10 +1,13 @@
-// Front-end chips: what a strip's current becomes (docs/methods/readout.md).
+// Front-end chips: what a strip's current becomes, and when (docs/methods/readout.md). A chip is a struct
+// with a name, `response`, `measure` and `delays`, and one of the alternatives of `Chip`.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
+#include <variant>
 
 #include "common/rng.hpp"
 #include "readout/shaper.hpp"
@@ -22,34 +25,79 @@ struct CurrentSteps {
   std::size_t size() const { return n; }
 };
 
-enum class ChipKind { tiger, apv25 };
-
-// Amplitudes are in fC: 1 fC that arrives at once has a peak of 1 fC behind either shaper.
-struct Chip {
-  ChipKind kind;
-  Shaper timing, charge;            // APV25: the second one is not used
+// What all chips have behind a strip. Amplitudes are in fC: 1 fC that arrives at once has a peak of 1 fC
+// behind any shaper.
+struct Amplifier {
   std::array<double, 2> threshold;  // fC, of X and V strips
   double noise;                     // fC, standard deviation of an amplitude
   double jitter;                    // ns, standard deviation of the time
   double saturation;                // fC, largest charge
-  double sample_delay;  // ns, TIGER: from the crossing of the threshold to the sample of the charge
-  double clock;         // ns, APV25: between samples, the first one at time 0
-  int samples;          // APV25
 };
 
 struct StripReading {
   double charge, time;  // fC, ns
 };
 
-// Current of one strip.
+// Current of one strip, which begins at `start`.
 struct Current {
   CurrentSteps steps;
   double charge;  // fC; the integral up to any time is at most this
+  double start;   // ns
 };
 
-// What the chip makes of a current that begins at `start` (ns); nothing below the threshold. `response`: of
-// the branch of the charge. Noise is that of (stream, gid).
-std::optional<StripReading> measure(const Chip& chip, StepResponse& response, int view, double start,
-                                    const Current& current, const Stream& stream, std::uint32_t gid);
+// Noise of one strip: normal numbers one after the other, of (stream, gid).
+class NormalNoise {
+ public:
+  NormalNoise(const Stream& stream, std::uint32_t gid) : stream_(stream), gid_(gid) {}
+  double next();
+
+ private:
+  const Stream& stream_;
+  std::uint32_t gid_, block_ = 0;
+  std::size_t used_ = 4;
+  Block words_{};
+};
+
+// Charges whose times are looked up for a current of a charge of 1 in the end.
+struct ChargesAbove {
+  std::span<const double> charges;  // fC, growing
+  double threshold;                 // fC
+  double phase;                     // from 0 to 1, of a clock
+};
+
+// Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.
+// Both must exceed the threshold: the charge that is induced on a strip beside the avalanche, and goes again,
+// hardly moves E. Noise moves the threshold, and with it the time as far as the slope makes it.
+struct Tiger {
+  static constexpr const char* name = "tiger";
+  Amplifier amplifier;
+  Shaper timing, charge;  // of branches T and E
+  double sample_delay;    // ns, from the crossing of the threshold to the sample of the charge
+
+  // To a step of the current, of the branch of the charge; `measure` takes it.
+  StepResponse response() const { return {charge, time_step}; }
+  // What the chip makes of a current; nothing below the threshold.
+  std::optional<StripReading> measure(StepResponse& response, int view, const Current& current,
+                                      NormalNoise noise) const;
+  // The times, ns, at which the chip measures charges of a current.
+  void delays(std::span<const double> steps, const ChargesAbove& of, std::span<double> times) const;
+};
+
+// Samples at fixed times: the charge is the largest one, the time that of half of it on the leading edge.
+struct Apv25 {
+  static constexpr const char* name = "apv25";
+  Amplifier amplifier;
+  Shaper timing;
+  double clock;  // ns, between samples, the first one at time 0
+  int samples;
+
+  StepResponse response() const { return {timing, time_step}; }
+  std::optional<StripReading> measure(StepResponse& response, int view, const Current& current,
+                                      NormalNoise noise) const;
+  // The same for all charges, at one phase of the clock.
+  void delays(std::span<const double> steps, const ChargesAbove& of, std::span<double> times) const;
+};
+
+using Chip = std::variant<Tiger, Apv25>;
 
 }  // namespace cgemit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -175,3 +176,17 @@ def test_every_wrong_number_is_listed() -> None:
             view={"pitch": 0.65, "gap": 5.0, "velocity": -1.0, "duration": 57.0, "margin": 0.6, "threshold": 2.0},
             way=WAY, induced=charges_of_plane(0.65, 2.0, 0.3), tracks=tracks, slopes=np.zeros(1), charges=CHARGES,
         )  # fmt: skip
+
+
+def test_a_chip_of_another_kind_is_none_of_those_known() -> None:
+    view = {"pitch": 0.65, "gap": 5.0, "velocity": 0.04, "duration": 57.0, "margin": 0.6, "threshold": 2.0}
+    rest = {"view": view, "way": WAY, "induced": charges_of_plane(0.65, 2.0, 0.3), "tracks": random_tracks(3)}
+    chip = chip_arguments(TigerReadout())
+    for wrong, expected in (
+        (chip | {"kind": "vmm3"}, "got vmm3, expected tiger or apv25"),
+        ({name: value for name, value in chip.items() if name != "clock"}, "clock: missing"),
+    ):
+        with pytest.raises(ValueError, match=expected):
+            _core.readout.strip_delays(chip=wrong, slopes=np.zeros(1), charges=CHARGES, **rest)
+    with pytest.raises(KeyError, match="vmm3"):
+        assert replace(TIGER, kind="vmm3").level

@@ -127,7 +127,11 @@ class Chip:
     @property
     def level(self) -> float:
         """Where the time is taken on the leading edge, over the charge; 0 is the threshold."""
-        return 0.5 if self.kind == "apv25" else 0.0
+        return _LEVELS[self.kind]
+
+
+#: Where each kind of chip takes the time on the leading edge, over the charge.
+_LEVELS = {"tiger": 0.0, "apv25": 0.5}
 
 
 def chip_arguments(readout: AnalogReadout) -> dict[str, Any]:

@@ -76,7 +76,8 @@ class EventReadout {
         first_(first_steps(truths, steps)),
         readout_(readout),
         gains_(gains),
-        response_(readout.chip.charge, time_step) {
+        response_(std::visit([](const auto& one) { return one.response(); }, readout.chip)),
+        noise_(std::visit([](const auto& one) { return one.amplifier.noise; }, readout.chip)) {
     for (std::size_t layer = 0; layer < detector.layers.size(); ++layer) {
       signals_.emplace_back(detector.layers[layer], layer, detector.layers.size(), readout.induced,
                             readout.drift[layer].induction);
@@ -189,9 +190,11 @@ class EventReadout {
     signals_[number].each([&](int sheet, int view, int strip, const auto& source, CurrentSteps steps) {
       DigiRow digi{event, static_cast<std::int32_t>(number), sheet, static_cast<std::int8_t>(view), strip};
       digi.gid = gid_of(layer, sheet, view, strip);
-      if (source.total <= readout_.chip.noise) return;
-      const auto measured = measure(readout_.chip, response_, view, signals_[number].start(),
-                                    {steps, source.total}, stream, static_cast<std::uint32_t>(digi.gid));
+      if (source.total <= noise_) return;
+      const Current current{steps, source.total, signals_[number].start()};
+      const NormalNoise noise(stream, static_cast<std::uint32_t>(digi.gid));
+      const auto measured = std::visit(
+          [&](const auto& one) { return one.measure(response_, view, current, noise); }, readout_.chip);
       if (!measured) return;
       digi.charge = measured->charge;
       digi.time = measured->time;
@@ -208,6 +211,7 @@ class EventReadout {
   const AnalogModel& readout_;
   const GainMaps& gains_;
   StepResponse response_;
+  double noise_;  // fC
   std::vector<StripSignals<T>> signals_;
 };
 
