@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,8 +82,13 @@ def _positive(matrices: Floats) -> int:
 Column = npt.NDArray[Any]
 Columns = dict[str, Column]
 
-#: Endings of the names of files.
-ENDINGS = (".rec", ".dst", ".rtraw")
+#: What files hold, by the endings of their names.
+ENDINGS: Mapping[str, str] = {
+    ".rec": "digis, reconstructed hits, clusters and tracks",
+    ".dst": "tracks, without hits",
+    ".rtraw": "digis and truth of simulated events",
+    ".raw": "digis as the detector was read out",
+}
 
 #: Collections that are read, by our name; a file has one of the branches listed.
 COLLECTIONS: Mapping[str, tuple[str, ...]] = {
@@ -134,7 +140,9 @@ def read_bes3(path: Path) -> tuple[dict[str, Columns], int]:
         If it is damaged or no file of the BESIII software, or pybes3 is not installed.
     """
     check_regular(path)
-    package("pybes3", "bes3")  # teaches uproot the classes
+    pybes3 = package("pybes3", "bes3")  # teaches uproot the classes
+    if path.suffix == ".raw":
+        return _read_raw(pybes3, path)
     uproot = package("uproot", "bes3")
     try:
         with uproot.open(path) as file:
@@ -152,6 +160,22 @@ def read_bes3(path: Path) -> tuple[dict[str, Columns], int]:
     except Exception as error:  # of uproot and pybes3: a damaged file is bad input, whatever notices it
         raise ValueError(f"{path} is not a complete file of the BESIII software ({error})") from error
     return columns_of_events(arrays), n_events
+
+
+def _read_raw(pybes3: Any, path: Path) -> tuple[dict[str, Columns], int]:
+    """Return what a file of the readout holds: numbers of runs and events, fired strips and fired cells."""
+    try:
+        with closing(pybes3.open_raw(str(path))) as file:
+            arrays = file.arrays()
+        header = arrays["evt_header"]
+        collections = {"run": header["run_no"], "number": header["evt_no"], "mdc_digis": arrays["mdc"]}
+        if "cgem" in arrays.fields:  # since 2024
+            collections["cgem_digis"] = arrays["cgem"]
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of pybes3: a damaged file is bad input, whatever notices it
+        raise ValueError(f"{path} is not a complete file of the BESIII readout ({error})") from error
+    return columns_of_events(collections), len(header)
 
 
 def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
@@ -342,7 +366,7 @@ def _digis(of: Columns) -> Columns:
 def _wire_digis(of: Columns) -> Columns:
     """Return what the cells have measured; the particle is -1 where it is noise, or noise came before."""
     channel = of["m_timeChannel"].astype(np.int64)
-    owner = of["m_trackIndex"].astype(np.int64)
+    owner = of["m_trackIndex"].astype(np.int64) if "m_trackIndex" in of else np.full(len(channel), -1)
     return {
         **_wire(of["m_intId"]),
         "tdc": np.where(channel == _NO_TIME, np.nan, _TDC * channel),
@@ -416,7 +440,7 @@ def read_events(
     errors: tuple[float, float] = CLUSTER_ERRORS,
     every_cluster: bool = False,
 ) -> Bes3Events:
-    """Read a `.rec`, `.dst` or `.rtraw` file of the BESIII software (extra ``[bes3]``).
+    """Read a `.rec`, `.dst` or `.rtraw` file of the BESIII software, or a `.raw` file of the readout (extra ``[bes3]``).
 
     Parameters
     ----------
@@ -437,7 +461,8 @@ def read_events(
     """
     path = Path(path)
     if path.suffix not in ENDINGS:
-        raise ValueError(f"{str(path)[:80]!r} is no file of the BESIII software; expected one of {', '.join(ENDINGS)}")
+        kinds = "; ".join(f"{ending}: {what}" for ending, what in ENDINGS.items())
+        raise ValueError(f"{str(path)[:80]!r} is no file of the BESIII software; expected one of {kinds}")
     found, n_events = read_bes3(path)
     return tables_of(found, n_events, detector, errors=errors, every_cluster=every_cluster)
 

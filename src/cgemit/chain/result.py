@@ -111,6 +111,7 @@ class Result:
     residuals = _Stored()
     states = _Stored()
     start_times = _Stored()
+    strip_times = _Stored()
     matches = _Stored()
 
     @property
@@ -185,6 +186,11 @@ class Result:
             return
         for part in self.tables.parts():
             yield replace(self, tables=part, transported=None if "particles" in part else self.transported)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the events are of an experiment: nothing was simulated, and there is no truth."""
+        return self.gun is None and "particles" not in self.tables and not self.transported
 
     @property
     def finder(self) -> str | None:
@@ -330,10 +336,15 @@ class Result:
         return result_of(run, {name: run.tables[name] for name in TABLES if name in run.tables})
 
     def _summary(self) -> list[tuple[str, str]]:
-        shots = f"{self.gun!r}" if self.gun is not None else "given particles"
-        rows = [("detector", self.detector.name), ("gun", shots), ("seed", str(self.seed))]
+        rows = [("detector", self.detector.name)]
+        if self.is_measured:
+            rows.append(("gun", "none: measured events"))
+        else:
+            rows.append(("gun", f"{self.gun!r}" if self.gun is not None else "given particles"))
+            rows.append(("seed", str(self.seed)))
         rows.append(("events", f"{self.n_events:,}"))
-        rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
+        if not self.is_measured:
+            rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
         if "tracks" in self.tables:
             removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
             rows.append(("tracks", f"{self.rows['tracks']:,} (left out: {removed})"))

@@ -31,7 +31,7 @@ STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can e
 TABLES = (
     *("particles", "events", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
     *("candidates", "candidate_hits", "searches", "refined_clusters", "refined_wire_hits"),
-    *("tracks", "residuals", "states", "start_times", "matches"),
+    *("tracks", "residuals", "states", "start_times", "strip_times", "matches"),
 )
 
 #: Tables of every run, wherever it ends.

@@ -38,6 +38,7 @@ COMMANDS = {
     "find": "efficiency, fakes and clones of track finding",
     "display": "draw one event",
     "readout": "resolution of an analog readout against the incidence; errors of its clusters",
+    "reconstruct": "find and fit the tracks of BESIII events, from fired cells and strips",
     "refit": "fit tracks of BESIII again, beside its own fit",
     "slab": "scattering and energy loss in layers of matter",
     "detectors": "list the detectors that come with cgemit",
@@ -63,6 +64,8 @@ examples:
   cgemit simulate -d besiii-cgem --particle pi+ --p 0.5 --cos-theta 0 -n 1000 --fit -o sample
   cgemit display -d besiii-cgem --p 1 --cos-theta 0 -o event
                                                      one event as a picture; --html: in three dimensions
+  cgemit reconstruct run.raw -d besiii-cgem --readout tiger -o run
+                                                     tracks and pictures of measured events of BESIII
   cgemit settings > settings.toml                    settings of all stages; --settings settings.toml uses them
 
 exit codes: 0 ok, 2 bad input, 3 the run failed, 130 interrupted

@@ -80,7 +80,8 @@ def event(result: Result, number: int = 0) -> Picture:
     detector = view.detector
     readout = f", readout {detector.readout_text}" if detector.cgem else ""
     finder = f", finder {result.finder}" if result.finder not in (None, "truth") else ""
-    whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {view.shot()}"
+    shot = "measured" if view.measured else view.shot()
+    whole = f"{plain(detector.name)}{readout}{finder}, event {number}: {shot}"
     # Lines end behind a particle only.
     title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace("\u00a0", " ")
     with style():
@@ -176,6 +177,12 @@ def _clusters(axes: Axes, view: EventView, x: Array, y: Array, size: float) -> N
     """Draw clusters and ghosts at x and y, (clusters,) float64; NaN where a view does not measure them."""
     seen = np.isfinite(x) & np.isfinite(y)
     real, ghosts = seen & view.shown_clusters(), seen & view.ghosts
+    if view.measured:
+        others = real & ~view.on_track[0]
+        real &= view.on_track[0]
+        if others.any():
+            label = "cluster on no track"
+            axes.plot(x[others], y[others], ".", color=GHOST, label=label, ms=size, zorder=4.4)
     if real.any():
         axes.plot(x[real], y[real], "P", color=COLORS["cgem"], mec="white", mew=0.5, label="cluster", ms=size, zorder=5)
     if ghosts.any():
@@ -194,10 +201,11 @@ def _across(r: Array, phi: Array) -> tuple[Array, Array]:
 
 
 def _drift_circles(axes: Axes, view: EventView) -> None:
-    noise = view.wire_hits["wire_truth"] < 0
+    noise = ~view.on_track[1] if view.measured else view.wire_hits["wire_truth"] < 0
+    of_none = "on no track" if view.measured else "of no particle"
     for rows, color, label in (
         (~noise, COLORS["idc"], "drift circle"),
-        (noise, GHOST, "drift circle of no particle"),
+        (noise, GHOST, f"drift circle {of_none}"),
     ):
         if not rows.any():
             continue
@@ -423,9 +431,15 @@ def _points(plotly: Any, view: EventView) -> list[Any]:
     truths, clusters, crossed = view.truths, view.clusters, view.wire_truths
     seen = np.isfinite(clusters["phi"]) & np.isfinite(clusters["z"])
     real, ghosts = seen & view.shown_clusters(), seen & view.ghosts
+    if view.measured:
+        others = real & ~view.on_track[0]
+        real &= view.on_track[0]
+    else:
+        others = np.zeros(len(real), np.bool_)
     groups = [
         ("true crossing", _around(truths["r"], truths["phi"], truths["z"]), COLORS["truth"], "circle-open", 6),
         ("cluster", _around(*(clusters[name][real] for name in ("r", "phi", "z"))), COLORS["cgem"], "cross", 4),
+        ("cluster on no track", _around(*(clusters[name][others] for name in ("r", "phi", "z"))), GHOST, "circle", 2),
         ("ghost", _around(*(clusters[name][ghosts] for name in ("r", "phi", "z"))), GHOST, "x", 3),
         ("true crossing of a cell", np.stack([crossed[a] for a in "xyz"], 1), COLORS["truth"], "circle-open", 3),
     ]

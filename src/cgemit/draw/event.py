@@ -22,7 +22,7 @@ from cgemit.particles.species import species
 from cgemit.reconstruction.fit import fit
 from cgemit.reconstruction.states import StateStatus, Surface
 from cgemit.tables import Table
-from cgemit.tables.schema import FitStatus
+from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus
 from cgemit.truth.assign import residuals
 
 if TYPE_CHECKING:
@@ -172,6 +172,10 @@ class EventView:
         Rows of the event, empty where the run made none; links count them from 0.
     ghosts : (clusters,) bool
         XV clusters whose X and V come from different crossings.
+    on_track : (clusters,) bool, (wire_hits,) bool
+        Which X, V and XV clusters, and which wire hits, a track has.
+    measured : bool
+        Whether the event is of an experiment: nothing is known of the truth.
     paths : list of Path
         Of the tracks that were fitted.
     centres : (wire_hits, 2) float64, mm
@@ -190,6 +194,8 @@ class EventView:
     wire_truths: Table
     tracks: Table
     ghosts: npt.NDArray[np.bool_]
+    on_track: tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
+    measured: bool
     paths: list[Path]
     centres: Array
     r: float
@@ -239,8 +245,26 @@ def view_of(result: Result, event: int) -> EventView:
     states = _states(part)
     paths = _paths(part, rows["tracks"], states, r, z)
     centres = _wire_centres(result.detector, rows["wire_hits"], rows["wire_truths"], states)
-    return EventView(result.detector, event, **rows, ghosts=_ghosts(rows["clusters"]), paths=paths, centres=centres,
-                     r=r, z=z)  # fmt: skip
+    on_track = _on_track(rows["clusters"], rows["wire_hits"], part.tables.get("candidate_hits"))
+    return EventView(
+        result.detector, event, **rows, ghosts=_ghosts(rows["clusters"]), on_track=on_track,
+        measured=result.is_measured, paths=paths, centres=centres, r=r, z=z,
+    )  # fmt: skip
+
+
+def _on_track(
+    clusters: Table, wire_hits: Table, hits: Table | None
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return which clusters, with the XV clusters of their X and V, and which wire hits are in a candidate."""
+    of_clusters, of_wires = np.zeros(len(clusters), np.bool_), np.zeros(len(wire_hits), np.bool_)
+    if hits is not None:
+        wire = hits["view"] == HIT_WIRE
+        of_wires[hits["row"][wire]] = True
+        of_clusters[hits["row"][~wire]] = True
+    both = clusters["view"] == XV_CLUSTER
+    parts = [clusters[name][both] for name in ("x_cluster", "v_cluster")]
+    of_clusters[both] |= of_clusters[parts[0]] & of_clusters[parts[1]]
+    return of_clusters, of_wires
 
 
 def _ghosts(clusters: Table) -> npt.NDArray[np.bool_]:

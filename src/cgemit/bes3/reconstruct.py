@@ -1,0 +1,146 @@
+"""Events of BESIII from fired cells and strips to tracks, with nothing of the experiment's reconstruction needed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.base.arrays import Flags, Floats
+from cgemit.bes3.events import Bes3Events
+from cgemit.bes3.wires import all_wire_hits, find_start_times
+from cgemit.chain.record import table_meta
+from cgemit.chain.result import Result
+from cgemit.chain.settings import TABLES, Settings, detectors_of, find_settings, fit_settings
+from cgemit.detector import Detector
+from cgemit.detector.readouts import AnalogReadout
+from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find.ckf import find_tracks
+from cgemit.reconstruction.reconstruct import reconstruct
+from cgemit.reconstruction.refine import MOST_STEP, StartTimeStatus, refinements
+from cgemit.reconstruction.strip_times import from_start, strip_times
+from cgemit.tables import Table
+
+#: Turns of finding and fitting the start times from wires alone, and the step, ns, that ends them.
+TURNS, STAYS = 5, 0.5
+
+
+def reconstruct_events(
+    events: Bes3Events,
+    settings: Settings | None = None,
+    *,
+    points: Literal["strips", "file"] | None = None,
+    start_time: npt.ArrayLike | None = None,
+) -> Result:
+    """Find and fit the tracks of events of the experiment from all fired cells, and from strips or clusters.
+
+    Tracks of wires alone tell the start time of each event. They are found again with it, until it stays: hits depend
+    on nanoseconds. The times of strips follow from the start times and one constant between both electronics, which
+    `strip_times` fits. Strips then become clusters, and tracks are found and fitted with clusters and wires.
+
+    Parameters
+    ----------
+    events : Bes3Events
+        Of `read_events`.
+    settings : Settings or None
+        Of clusters, finder, fit and refinements; drift times are raw, and start times are fitted, in any case.
+    points : str or None
+        ``"strips"``: clusters are made of the fired strips, with the readout of the detector. ``"file"``: the clusters
+        of the file. None: those of the file if it has some.
+    start_time : array_like, (events,) float64, or None
+        First guess of the start of each event in the readout window, ns. None: that of the file, or where it has none
+        that of `find_start_times`.
+
+    Returns
+    -------
+    Result
+        Without particles. ``start_times`` has the start of each event in the readout window of the wires, and
+        ``strip_times`` that in the times of the strips. Events without a start time have no wire hits.
+
+    Raises
+    ------
+    ValueError
+        If there is another number of start times than of events.
+    """
+    begin = time.perf_counter()
+    settings = Settings.of(settings)
+    settings = replace(settings, refine=replace(settings.refine, drift_times="raw", start_time="fitted"))
+    made, start = _steady(events, _guess(events, start_time), settings)
+    of_wires = made["start_times"]
+    wires = all_wire_hits(events, start)
+    found: dict[str, Table] = {"digis": events.digis, "wire_hits": wires, "clusters": events.clusters}
+    if points == "strips" or (points is None and not len(events.clusters)):
+        known = 0
+        while (fitted := _fitted(made)).sum() > known:  # clusters may give further events a start time
+            known = fitted.sum()
+            found |= _of_strips(events, settings, np.where(fitted, start + made["start_times"]["start_time"], np.nan))
+            made = _tracks(events, found["clusters"], wires, settings)
+    elif len(events.clusters):
+        made = _tracks(events, events.clusters, wires, settings)
+    found |= made | {"start_times": _absolute(made["start_times"], of_wires, start)}
+    detector = events.detector
+    about = table_meta(detectors_of(detector, None), settings, 0, None)
+    seconds = time.perf_counter() - begin
+    return Result(
+        detector=detector, gun=None, seed=0, settings=settings, timings={"find": seconds, "wall": seconds},
+        tables={name: found[name].with_meta(**about) for name in TABLES if name in found},
+    )  # fmt: skip
+
+
+def _absolute(times: Table, of_wires: Table, start: Floats) -> Table:
+    """Return start times in the readout window; those of wires alone where tracks with clusters tell none."""
+    good = times["status"] == StartTimeStatus.ok
+    columns = {name: np.where(good, one, of_wires[name]) for name, one in times.columns.items()}
+    return times.with_columns(**columns | {"start_time": start + columns["start_time"]})
+
+
+def _fitted(made: Mapping[str, Table]) -> Flags:
+    """Return which events have a start time that their tracks tell, (events,) bool."""
+    return np.asarray(made["start_times"]["status"] == StartTimeStatus.ok)
+
+
+def _of_strips(events: Bes3Events, settings: Settings, start: Floats) -> dict[str, Table]:
+    """Return the clusters of the fired strips, and when the events began in their times if the readout has times."""
+    detector, digis = events.detector, events.digis
+    if not len(digis) or not any(isinstance(group.readout, AnalogReadout) for group in detector.groups):
+        return {"clusters": cluster(detector, digis, settings.cluster)}
+    times = strip_times(detector, digis, start)
+    return {"strip_times": times, "clusters": cluster(detector, from_start(digis, times), settings.cluster)}
+
+
+def _guess(events: Bes3Events, start_time: npt.ArrayLike | None) -> Floats:
+    """Return the first guess of the start times, (events,) float64, ns."""
+    if start_time is not None:
+        guess = np.asarray(start_time, np.float64)
+        if guess.shape != (len(events.run),):
+            raise ValueError(f"start_time: got shape {guess.shape}, expected one for each of {len(events.run)} events")
+        return guess
+    if np.isfinite(events.start_time).all():
+        return events.start_time
+    return np.where(np.isfinite(events.start_time), events.start_time, find_start_times(events))
+
+
+def _steady(events: Bes3Events, start: Floats, settings: Settings) -> tuple[dict[str, Table], Floats]:
+    """Return tracks of wires, found again until the start times stay, and the start times that their hits have."""
+    for _ in range(TURNS):
+        made = _tracks(events, events.clusters[:0], all_wire_hits(events, start), settings)
+        moved = np.where(_fitted(made), made["start_times"]["start_time"], 0.0)
+        if np.abs(moved).max(initial=0.0) < STAYS:
+            break
+        start = start + np.clip(moved, -MOST_STEP, MOST_STEP)
+    return made, start
+
+
+def _tracks(events: Bes3Events, clusters: Table, wires: Table, settings: Settings) -> dict[str, Table]:
+    """Find and fit tracks."""
+    find, fit = find_settings(settings), fit_settings(settings)
+
+    def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> dict[str, Table]:
+        return find_tracks.unchecked(detector, clusters, wire_hits, find, fit=fit)
+
+    how: dict[str, Any] = {"refinements": refinements(settings.refine), "find_again": settings.refine.find_again}
+    return reconstruct(events.detector, clusters, wires, ckf, fit, **how)

@@ -1,0 +1,118 @@
+"""`cgemit reconstruct`: events of the experiment from fired cells and strips to tracks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING, Any
+
+from cgemit.base.version import __version__
+from cgemit.cli import options
+
+if TYPE_CHECKING:
+    from cgemit.chain.result import Result
+
+
+DESCRIPTION = """\
+Read events of BESIII (.raw of the readout, .rec or .rtraw of its software; pybes3, extra [bes3]), find the start time
+of each event, make clusters of the fired strips, and find and fit the tracks of all fired cells and strips, without the
+experiment's own reconstruction. The folder receives the tables, which `cgemit.open` reads, tracks.csv, summary.json
+and a picture of the event with most hits on tracks."""
+
+EXAMPLES = """\
+The detector needs the layers of the hits: besiii-idc before 2024, besiii-cgem since. Strips with time need an analog
+readout, such as tiger.
+
+examples:
+  cgemit reconstruct run.raw -d besiii-cgem --field besiii --readout tiger -o run
+  cgemit reconstruct run.raw -d besiii-cgem --field besiii --readout tiger --event 3 --event 7 -o run
+  cgemit reconstruct run.rec -d besiii-idc --field besiii --hypothesis mu -o old"""
+
+#: Columns of tracks that are printed, with their formats.
+_COLUMNS = {
+    "event": "d", "p": ".3f", "err_p": ".3f", "dr": ".3f", "err_dr": ".3f", "phi0": ".4f", "dz": ".2f",
+    "err_dz": ".2f", "tanl": ".4f", "chi2": ".1f", "ndf": "d", "n_clusters": "d", "n_wires": "d",
+}  # fmt: skip
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("file", metavar="FILE", help="a .raw, .rec or .rtraw file")
+    options.add_detector(parser)
+    options.add_readout(parser)
+    parser.add_argument(
+        "--points", choices=("strips", "file"),
+        help="clusters: made of the strips, or those of the file (default: those of the file if it has some)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--event", type=options.event, action="append", metavar="N",
+        help="event to draw, counted from 0 in the file; may be repeated (default: that with most hits on tracks)",
+    )  # fmt: skip
+    options.add_hypothesis(parser)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    options.add_output(parser, "folder for tables, pictures, summary.json", required=True)
+    options.add_common(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, reconstruct, write and draw."""
+    import numpy as np
+
+    from cgemit.base.files import SUMMARY, check_free, new_folder
+    from cgemit.bes3.events import read_events
+    from cgemit.bes3.reconstruct import reconstruct_events
+    from cgemit.draw.display import event
+    from cgemit.tables.schema import is_fitted
+    from cgemit.tables.show import text_table, write_csv
+
+    check_free(arguments.output, overwrite=arguments.overwrite)
+    (detector,), settings = options.load_inputs(arguments, one_track=True)
+    events = read_events(arguments.file, detector)
+    numbers = _numbers(arguments, len(events.run))
+    result = reconstruct_events(events, settings, points=arguments.points)
+    about = _about(result, arguments) | {"run": sorted({int(one) for one in events.run})}
+    text = json.dumps(about, indent=2, allow_nan=False)
+    hits = np.bincount(result.tracks["event"], result.tracks["n_clusters"] + result.tracks["n_wires"], len(events.run))
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
+        result.save(folder, command=arguments.line)
+        write_csv(folder / "tracks.csv", {name: result.tracks[name] for name in _COLUMNS}, digits=9)
+        (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+        for number in numbers or [int(hits.argmax())]:
+            event(result, number).save(folder / f"event-{number}")
+    tracks = result.tracks[is_fitted(result.tracks)]
+    rows = [[format(tracks[name][i], kind) for name, kind in _COLUMNS.items()] for i in range(len(tracks))]
+    table = text_table("fitted tracks (mm, rad, GeV/c)", list(_COLUMNS), rows)
+    options.say(text if arguments.json else "\n".join([repr(events), repr(result), table]))
+    if not len(tracks):
+        raise options.RunFailedError("no track was found and fitted")
+    options.note(arguments, f"tables and pictures: {arguments.output}")
+    return options.OK
+
+
+def _numbers(arguments: argparse.Namespace, events: int) -> list[int]:
+    """Return the events that are asked for."""
+    wrong = [number for number in arguments.event or () if number >= events]
+    if wrong:
+        given = ", ".join(map(str, wrong))
+        raise options.InputError(f"--event: got {given}; expected numbers from 0 to {events - 1}")
+    return list(dict.fromkeys(arguments.event or ()))
+
+
+def _about(result: Result, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the numbers of the reconstruction."""
+    from cgemit.reconstruction.refine import StartTimeStatus
+
+    times = result.start_times["status"] == StartTimeStatus.ok
+    about = {
+        "version": __version__, "command": arguments.line, "file": str(arguments.file),
+        "detector": result.detector.name, "events": result.n_events, "settings": result.settings.to_dict(),
+        "rows": result.rows, "removed": result.removed(), "events_with_start_time": int(times.sum()),
+    }  # fmt: skip
+    if result.strip_times is None:
+        return about
+    offset, error = (result.strip_times.meta[name] for name in ("offset", "err_offset"))
+    strips = {
+        "offset": {"value": offset, "error": error, "unit": "ns"} if offset == offset else None,
+        "strips": len(result.digis), "outside": int(result.strip_times["n_outside"].sum()),
+    }  # fmt: skip
+    return about | {"strip_times": strips}

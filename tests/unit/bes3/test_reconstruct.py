@@ -1,0 +1,208 @@
+"""From fired cells and strips to tracks: simulated events whose wires and strips count from different moments."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import awkward as ak
+import numpy as np
+import pytest
+
+import bes3_layout
+import cgemit as cg
+from cgemit.bes3 import events as bes3_events
+from cgemit.bes3.events import events_of, read_events
+from cgemit.bes3.reconstruct import reconstruct_events
+from cgemit.cli.main import main
+from cgemit.reconstruction.refine import StartTimeStatus
+from stats import assert_within
+
+EVENTS, OFFSET = 30, -8645.0  # ns, of the strips against the wires
+CGEM = cg.load("besiii-cgem").with_readout("tiger")
+SETTINGS = cg.Settings(fit=cg.FitSettings(hypothesis="mu"))
+DATA = os.environ.get("CGEMIT_BES3_DATA", "")
+REAL = pytest.mark.skipif(not DATA, reason="CGEMIT_BES3_DATA is not the folder of pybes3's test files")
+
+
+@pytest.fixture(scope="module")
+def run():
+    settings = cg.Settings(simulate=cg.SimulateSettings(decays=False))
+    gun = cg.Gun("mu-", p=(0.4, 1.5), cos_theta=(-0.7, 0.7))
+    return cg.run(CGEM, gun, n=EVENTS, seed=4, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def late():
+    """How much later each event began, in whole channels of the TDC, ns."""
+    return bes3_layout.TICK * np.random.default_rng(2).integers(-3000, 3000, EVENTS)
+
+
+@pytest.fixture(scope="module")
+def arrays(run, late):
+    """What the readout gives: cells and strips, without any result of the experiment's software."""
+    of_run = bes3_layout.events_of(run)
+    cells, strips = of_run["mdc_digis"], of_run["cgem_digis"]
+    channel = cells["m_timeChannel"]
+    moved = ak.where(channel == 0x7FFFFFFF, channel, channel + np.rint(late / bes3_layout.TICK).astype("i4"))
+    time = strips["m_time_ns"] + (bes3_layout.START + late + OFFSET)
+    return {
+        "run": of_run["run"], "number": of_run["number"],
+        "mdc_digis": ak.with_field(cells, ak.values_astype(moved, "u4"), "m_timeChannel"),
+        "cgem_digis": ak.with_field(strips, time, "m_time_ns"),
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(arrays):
+    return reconstruct_events(events_of(arrays, CGEM), SETTINGS)
+
+
+def test_tracks_have_points_of_all_layers(run, found):
+    tracks = found.tracks
+    assert tracks["event"].tolist() == list(range(EVENTS))
+    assert (tracks["status"] == 0).all()
+    assert tracks["n_clusters"].mean() > 5.7
+    assert tracks["n_wires"].mean() > 0.95 * run.tracks["n_wires"].mean()
+    for name in ("dr", "dz", "kappa"):
+        away = tracks[name] - run.tracks[name]
+        assert np.median(np.abs(away / run.tracks[f"err_{name}"])) < 0.5  # the same hits, with times that are found
+
+
+def test_start_times(found, late):
+    """The zero time of all layers is -233.5 ns by default, and -231 ns here: start times are later by that."""
+    times = found.start_times
+    assert (times["status"] == StartTimeStatus.ok).all()
+    away = times["start_time"] - late - bes3_layout.START
+    assert_within(away.mean(), -231.0 + 233.5, 0.3)
+    assert np.std(away) < 2.0
+    strips = found.strip_times
+    assert_within(strips.meta["offset"] + away.mean(), OFFSET, strips.meta["err_offset"], 3.0)
+    assert np.std(strips["strip_time"] - late) < 2.0
+    assert not strips["n_outside"].any()
+
+
+def test_a_wrong_guess_is_mended(arrays, found, late):
+    events = events_of(arrays, CGEM)
+    guess = bes3_layout.START + late + np.where(np.arange(EVENTS) % 2, 15.0, -15.0)
+    again = reconstruct_events(events, SETTINGS, start_time=guess)
+    np.testing.assert_allclose(again.start_times["start_time"], found.start_times["start_time"], atol=1.0)
+    assert (again.tracks["n_clusters"] == found.tracks["n_clusters"]).mean() > 0.9
+    with pytest.raises(ValueError, match=r"got shape \(2,\), expected one for each of 30 events"):
+        reconstruct_events(events, start_time=[1.0, 2.0])
+
+
+def test_clusters_of_the_file(run):
+    events = events_of(bes3_layout.events_of(run), CGEM)
+    ours = reconstruct_events(events, SETTINGS)
+    assert ours.strip_times is None
+    assert len(ours.clusters) == len(events.clusters)
+    assert ours.tracks["n_clusters"].mean() > 2.5  # XV clusters
+    made = reconstruct_events(events, SETTINGS, points="strips")
+    assert made.strip_times is not None
+    assert made.tracks["n_clusters"].mean() > 5.7
+
+
+def test_events_without_strips_or_start(arrays):
+    wires = {name: one for name, one in arrays.items() if name != "cgem_digis"}
+    events = events_of(wires, CGEM)
+    events = replace(
+        events, wire_digis={name: one[events.wire_digis["event"] < 3] for name, one in events.wire_digis.items()}
+    )
+    found = reconstruct_events(events, SETTINGS)
+    assert set(found.tracks["event"]) <= {0, 1, 2}
+    assert np.isnan(found.start_times["start_time"][3:]).all()
+    assert (found.start_times["status"][3:] == StartTimeStatus.no_track).all()
+    assert not len(found.clusters)
+
+
+def test_result_is_saved_and_drawn(found, tmp_path):
+    found.save(tmp_path / "run")
+    again = cg.open(tmp_path / "run")
+    assert again.is_measured
+    assert "measured events" in repr(again)
+    np.testing.assert_array_equal(again.strip_times["strip_time"], found.strip_times["strip_time"])
+    picture = cg.draw.event(found, 3)
+    labels = {text.get_text() for text in picture.legends[0].get_texts()}
+    assert {"cluster", "drift circle"} <= labels
+    assert not any("no particle" in label or "true" in label or "ghost" in label for label in labels)
+    assert "event 3: measured" in picture.get_suptitle().replace("\u00a0", " ")
+
+
+class Raw:
+    """A file of the readout, as pybes3 opens it."""
+
+    def __init__(self, arrays):
+        fields = {"mdc": arrays["mdc_digis"][["m_intId", "m_chargeChannel", "m_timeChannel", "m_overflow"]]}
+        fields["cgem"] = arrays["cgem_digis"][["m_intId", "m_time_ns", "m_charge_fc"]]
+        fields["evt_header"] = ak.zip({"run_no": arrays["run"], "evt_no": arrays["number"]})
+        self._arrays = ak.zip(fields, depth_limit=1)
+
+    def arrays(self):
+        return self._arrays
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def raw(arrays, tmp_path, monkeypatch):
+    import pybes3
+
+    path = tmp_path / "run.raw"
+    path.write_bytes(b"any")
+    monkeypatch.setattr(pybes3, "open_raw", lambda path: Raw(arrays))
+    return path
+
+
+def test_raw_files(arrays, raw):
+    events, given = read_events(raw, CGEM), events_of(arrays, CGEM)
+    assert events.number.tolist() == given.number.tolist()
+    for name in ("layer", "sheet", "view", "strip", "charge", "time"):
+        np.testing.assert_array_equal(events.digis[name], given.digis[name])
+    for name in ("event", "layer", "wire", "tdc"):
+        np.testing.assert_array_equal(events.wire_digis[name], given.wire_digis[name])
+    assert (events.wire_digis["particle"] == -1).all()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pybes3 leaves it open
+def test_damaged_raw_file(tmp_path):
+    path = tmp_path / "run.raw"
+    path.write_bytes(bytes(100))
+    with pytest.raises(ValueError, match=r"run.raw is not a complete file of the BESIII readout"):
+        read_events(path, CGEM)
+    with pytest.raises(ValueError, match=r"\.raw: digis as the detector was read out"):
+        read_events(tmp_path / "run.root", CGEM)
+
+
+def test_command(raw, found, tmp_path, capsys):
+    out = tmp_path / "out"
+    given = ["reconstruct", str(raw), "-d", "besiii-cgem", "--readout", "tiger", "--hypothesis", "mu", "-o", str(out)]
+    assert main([*given, "--event", "3"]) == 0
+    text = capsys.readouterr().out
+    row = found.tracks[0]
+    assert f"{row['p']:.3f}" in text
+    assert f"{row['chi2']:.1f}" in text
+    assert (out / "event-3.png").stat().st_size > 10_000
+    summary = json.loads((out / "summary.json").read_text())
+    offset = summary["strip_times"]["offset"]
+    assert offset["value"] == pytest.approx(found.strip_times.meta["offset"])
+    assert summary["events_with_start_time"] == EVENTS
+    table = np.genfromtxt(out / "tracks.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(table["p"], found.tracks["p"], rtol=1e-7)
+    assert main([*given, "--event", "30", "--overwrite"]) == 2
+    assert "--event: got 30; expected numbers from 0 to 29" in capsys.readouterr().err
+
+
+@REAL
+def test_public_events_of_2026():
+    """Run 91668: 815 strips, of which the clustering kept none when their times counted from elsewhere."""
+    events = read_events(
+        Path(DATA) / "test_raw_data.raw", cg.load("besiii-cgem").with_field("besiii").with_readout("tiger")
+    )
+    found = reconstruct_events(events, SETTINGS)
+    assert len(found.clusters) > 200
+    assert abs(found.strip_times.meta["offset"] + 8638) < 10
+    assert (found.start_times["status"] == StartTimeStatus.ok).sum() == 5
+    assert (found.tracks["n_clusters"] > 0).sum() >= 5
+    assert bes3_events.ENDINGS.keys() >= {".raw"}
