@@ -440,7 +440,9 @@ def read_events(
     errors: tuple[float, float] = CLUSTER_ERRORS,
     every_cluster: bool = False,
 ) -> Bes3Events:
-    """Read a `.rec`, `.dst` or `.rtraw` file of the BESIII software, or a `.raw` file of the readout (extra ``[bes3]``).
+    """Read a `.rec`, `.dst` or `.rtraw` file of the BESIII software, or a `.raw` file of its readout.
+
+    The extra ``[bes3]`` is needed.
 
     Parameters
     ----------

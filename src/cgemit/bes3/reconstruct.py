@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,16 +17,22 @@ from cgemit.chain.record import table_meta
 from cgemit.chain.result import Result
 from cgemit.chain.settings import TABLES, Settings, detectors_of, find_settings, fit_settings
 from cgemit.detector import Detector
+from cgemit.detector.parts import cgem_numbers, seen_by
 from cgemit.detector.readouts import AnalogReadout
+from cgemit.helix import wrap_angle
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import MOST_STEP, StartTimeStatus, refinements
+from cgemit.reconstruction.states import extrapolate
 from cgemit.reconstruction.strip_times import from_start, strip_times
 from cgemit.tables import Table
+from cgemit.tables.schema import XV_CLUSTER, is_fitted
 
 #: Turns of finding and fitting the start times from wires alone, and the step, ns, that ends them.
 TURNS, STAYS = 5, 0.5
+#: Distances in X and z, mm, within which a cluster may belong to a track of wires.
+NEAR = (5.0, 15.0)
 
 
 def reconstruct_events(
@@ -89,6 +95,72 @@ def reconstruct_events(
         detector=detector, gun=None, seed=0, settings=settings, timings={"find": seconds, "wall": seconds},
         tables={name: found[name].with_meta(**about) for name in TABLES if name in found},
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PointOffset:
+    """Where the points of a layer are, seen from the tracks of wires.
+
+    Attributes
+    ----------
+    label : str
+        Of the layer.
+    n : int
+        Tracks with a cluster nearby.
+    x, err_x : float
+        mm, mean of X minus that of the track, and the error of the mean; NaN with fewer than two tracks.
+    z, err_z : float
+        mm, the same along the beam.
+    """
+
+    label: str
+    n: int
+    x: float
+    err_x: float
+    z: float
+    err_z: float
+
+
+def point_offsets(events: Bes3Events, result: Result) -> list[PointOffset]:
+    """Compare the clusters of each CGEM layer with tracks that are found and fitted with wires alone.
+
+    A track counts with its nearest XV cluster, if X is within 5 mm of it and z within 15 mm. Offsets are those of the
+    position of a layer, of the Lorentz shift and of the start time together, which one field does not tell apart.
+
+    Parameters
+    ----------
+    events : Bes3Events
+    result : Result
+        Of `reconstruct_events`.
+    """
+    made = _tracks(events, events.clusters[:0], result.wire_hits, result.settings)
+    tracks, points = made["tracks"][is_fitted(made["tracks"])], result.clusters[result.clusters["view"] == XV_CLUSTER]
+    found = []
+    for number in cgem_numbers(events.detector):
+        layer = events.detector.layers[number]
+        states = extrapolate(events.detector, tracks, layer.r_mid)
+        states = states[states["status"] == 0]
+        here = points[points["layer"] == number]
+        at, along = (
+            np.stack([states[name] for name in names], axis=1) for names in (("x", "y", "z"), ("px", "py", "pz"))
+        )
+        away = []
+        for event, (x, y, z) in zip(states["event"].tolist(), seen_by(layer, at, along), strict=True):
+            mine = here[here["event"] == event]
+            dx = layer.r_readout * wrap_angle(mine["phi"] - np.arctan2(y, x))
+            dz = mine["z"] - z
+            near = (np.abs(dx) < NEAR[0]) & (np.abs(dz) < NEAR[1])
+            if near.any():
+                best = np.flatnonzero(near)[np.hypot(dx / NEAR[0], dz / NEAR[1])[near].argmin()]
+                away.append((dx[best], dz[best]))
+        given = np.array(away).reshape(-1, 2)
+        n = len(given)
+        enough = n > 1
+        mean = given.mean(axis=0) if enough else np.full(2, np.nan)
+        error = given.std(axis=0, ddof=1) / np.sqrt(n) if enough else np.full(2, np.nan)
+        numbers = (float(mean[0]), float(error[0]), float(mean[1]), float(error[1]))
+        found.append(PointOffset(layer.label, n, *numbers))
+    return found
 
 
 def _absolute(times: Table, of_wires: Table, start: Floats) -> Table:

@@ -10,6 +10,7 @@ from cgemit.base.version import __version__
 from cgemit.cli import options
 
 if TYPE_CHECKING:
+    from cgemit.bes3.reconstruct import PointOffset
     from cgemit.chain.result import Result
 
 
@@ -60,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from cgemit.base.files import SUMMARY, check_free, new_folder
     from cgemit.bes3.events import read_events
-    from cgemit.bes3.reconstruct import reconstruct_events
+    from cgemit.bes3.reconstruct import point_offsets, reconstruct_events
     from cgemit.draw.display import event
     from cgemit.tables.schema import is_fitted
     from cgemit.tables.show import text_table, write_csv
@@ -70,7 +71,9 @@ def run(arguments: argparse.Namespace) -> int:
     events = read_events(arguments.file, detector)
     numbers = _numbers(arguments, len(events.run))
     result = reconstruct_events(events, settings, points=arguments.points)
+    offsets = point_offsets(events, result) if result.strip_times is not None else []
     about = _about(result, arguments) | {"run": sorted({int(one) for one in events.run})}
+    about["points"] = {one.label: _offset(one) for one in offsets}
     text = json.dumps(about, indent=2, allow_nan=False)
     hits = np.bincount(result.tracks["event"], result.tracks["n_clusters"] + result.tracks["n_wires"], len(events.run))
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
@@ -81,12 +84,26 @@ def run(arguments: argparse.Namespace) -> int:
             event(result, number).save(folder / f"event-{number}")
     tracks = result.tracks[is_fitted(result.tracks)]
     rows = [[format(tracks[name][i], kind) for name, kind in _COLUMNS.items()] for i in range(len(tracks))]
+    apart = [
+        [one.label, str(one.n), f"{one.x:+.2f} ± {one.err_x:.2f}", f"{one.z:+.1f} ± {one.err_z:.1f}"] for one in offsets
+    ]
+    head = ["layer", "tracks", "X (mm)", "z (mm)"]
+    more = [text_table("clusters minus tracks of wires", head, apart)] if offsets else []
     table = text_table("fitted tracks (mm, rad, GeV/c)", list(_COLUMNS), rows)
-    options.say(text if arguments.json else "\n".join([repr(events), repr(result), table]))
+    options.say(text if arguments.json else "\n".join([repr(events), repr(result), *more, table]))
     if not len(tracks):
         raise options.RunFailedError("no track was found and fitted")
     options.note(arguments, f"tables and pictures: {arguments.output}")
     return options.OK
+
+
+def _offset(one: PointOffset) -> dict[str, Any]:
+    """Return an offset as plain numbers; without those that are not known."""
+    found: dict[str, Any] = {"tracks": one.n}
+    for name, value, error in (("x", one.x, one.err_x), ("z", one.z, one.err_z)):
+        if value == value:
+            found[name] = {"value": value, "error": error, "unit": "mm"}
+    return found
 
 
 def _numbers(arguments: argparse.Namespace, events: int) -> list[int]:

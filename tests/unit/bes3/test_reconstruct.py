@@ -13,7 +13,7 @@ import bes3_layout
 import cgemit as cg
 from cgemit.bes3 import events as bes3_events
 from cgemit.bes3.events import events_of, read_events
-from cgemit.bes3.reconstruct import reconstruct_events
+from cgemit.bes3.reconstruct import point_offsets, reconstruct_events
 from cgemit.cli.main import main
 from cgemit.reconstruction.refine import StartTimeStatus
 from stats import assert_within
@@ -101,6 +101,23 @@ def test_clusters_of_the_file(run):
     made = reconstruct_events(events, SETTINGS, points="strips")
     assert made.strip_times is not None
     assert made.tracks["n_clusters"].mean() > 5.7
+
+
+def test_layers_that_are_not_where_they_should_be(arrays):
+    """X of a layer that is turned by -6 mrad in the description, and z of one that is shifted by 1.5 mm."""
+    other = CGEM.with_overrides({"cgem.L2.rotation": "-6 mrad", "cgem.L3.shift_z": "1.5 mm"})
+    nominal, moved = (
+        {one.label: one for one in point_offsets(events, reconstruct_events(events, SETTINGS))}
+        for events in (events_of(arrays, CGEM), events_of(arrays, other))
+    )
+    assert all(one.n > 25 for one in (*nominal.values(), *moved.values()))
+    for label in ("L1", "L2", "L3"):
+        assert_within(nominal[label].x, 0.0, nominal[label].err_x, 4.0)
+        assert_within(nominal[label].z, 0.0, nominal[label].err_z, 4.0)
+    radius = CGEM.cgem["L2"].r_readout
+    assert abs(moved["L2"].x - nominal["L2"].x + 6e-3 * radius) < 0.05
+    assert abs(moved["L3"].z - nominal["L3"].z - 1.5) < 0.2
+    assert abs(moved["L1"].x - nominal["L1"].x) < 0.05
 
 
 def test_events_without_strips_or_start(arrays):
