@@ -229,7 +229,7 @@ def test_bad_input(arrays, tmp_path):
     text = str(refused.value)
     assert "clusters: got layers 0, 1, 2; expected those of besiii-idc: no such layer" in text
     assert "errors: got (0.1, 0.0)" in text
-    with pytest.raises(ValueError, match=r"expected one of \.rec, \.dst, \.rtraw"):
+    with pytest.raises(ValueError, match=r"expected one of \.rec: .*; \.dst: .*; \.rtraw: .*; \.raw: digis"):
         read_events(tmp_path / "x.root", "besiii-cgem")
     with pytest.raises(FileNotFoundError):
         read_events(tmp_path / "x.rec", "besiii-cgem")

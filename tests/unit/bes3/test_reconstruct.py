@@ -156,10 +156,11 @@ class Raw:
         self._arrays = ak.zip(fields, depth_limit=1)
 
     def arrays(self):
+        """Return the collections."""
         return self._arrays
 
     def close(self):
-        pass
+        """Close nothing."""
 
 
 @pytest.fixture
