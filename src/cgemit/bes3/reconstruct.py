@@ -17,7 +17,8 @@ from cgemit.chain.record import table_meta
 from cgemit.chain.result import Result
 from cgemit.chain.settings import TABLES, Settings, detectors_of, find_settings, fit_settings
 from cgemit.detector import Detector
-from cgemit.detector.parts import cgem_numbers, seen_by
+from cgemit.detector.layers.layer import seen_by
+from cgemit.detector.parts import cgem_numbers
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.helix import wrap_angle
 from cgemit.reconstruction.cluster import cluster

@@ -434,7 +434,7 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     def __init__(self, prog: str) -> None:
         super().__init__(prog, max_help_position=30, width=110)
         # argparse forgets the indent of sub-commands when it computes the width of the first column.
-        self._action_max_length = 14
+        self._action_max_length = 15
 
 
 class Parser(argparse.ArgumentParser):

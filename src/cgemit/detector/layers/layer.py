@@ -22,6 +22,7 @@ from cgemit.detector.readouts.readout import Readout
 from cgemit.detector.shells import Shell, Slab
 
 _FAR, _TILT, _ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sought at other wires and strips
+_LAYER_Z, _LAYER_ROTATION = 10.0, 5e-2  # mm, rad: a layer of strips or positions that moves along itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,6 +162,13 @@ class Layer(Placed, ABC):
     readouts: ClassVar[Mapping[str, type[Readout]]]
     usual_readout: ClassVar[Readout]
     sensitive: ClassVar[str]
+
+    shift_z: float = field(
+        metadata=key("length", "shift of the part along the beam", -_LAYER_Z, _LAYER_Z), default=0.0
+    )  # mm
+    rotation: float = field(
+        metadata=key("angle", "turn of the part about the beam axis", -_LAYER_ROTATION, _LAYER_ROTATION), default=0.0
+    )
 
     label: str
     length: float  # mm, active length along the beam
