@@ -22,7 +22,7 @@ from cgemit.detector.readouts.readout import Readout
 from cgemit.detector.shells import Shell, Slab
 
 _FAR, _TILT, _ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sought at other wires and strips
-_LAYER_Z, _LAYER_ROTATION = 10.0, 5e-2  # mm, rad: a layer of strips or positions that moves along itself
+_LAYER_Z, _LAYER_ROTATION = 10.0, 3e-2  # mm, rad: a layer of strips or positions that moves along itself
 
 
 @dataclass(frozen=True, kw_only=True)
