@@ -110,7 +110,7 @@ def geometry_problems(
         problems += layer.problems() + _readout_problems(layer)
         if not layer.r_in <= 0:
             spans.append(Span(layer.r_in, layer.r_out, layer.half_length, layer.path))
-    problems += _overlaps(spans)
+    problems += _same_labels(barrels) + _overlaps(spans)
     if chamber and all(layer.cells and layer.half_length for layer in chamber.layers):
         problems += chamber.problems()
         wires = chamber.sound
@@ -118,6 +118,16 @@ def geometry_problems(
         near = [span for span in spans if not span.r_out <= innermost]  # all, if the first radius could not be read
         problems += [problem for span in near for problem in _wires_inside(span, wires)]
     return problems
+
+
+def _same_labels(barrels: Sequence[Layer]) -> list[Problem]:
+    """Return layers of different kinds with one label, by which results name them."""
+    first: dict[str, Layer] = {}
+    return [
+        Problem(layer.path, f'the label "{layer.label}", which {other.path} has', "a label that no other layer has")
+        for layer in barrels
+        if (other := first.setdefault(layer.label, layer)).group != layer.group
+    ]
 
 
 @once

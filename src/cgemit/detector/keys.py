@@ -40,6 +40,11 @@ class Part:
         """Return the value of one of `extra_keys`; None if it has none."""
         return None
 
+    def children(self) -> dict[str, Any]:
+        """Return what may stand behind a dot and the path of this part, by name: values of keys, and parts by label."""
+        kind: Any = type(self)
+        return {name: getattr(self, name) for name in keys_of(kind)}
+
     def inner(self) -> Iterator[tuple[str, Part]]:
         """Yield the parts in this one with their paths from here: rows of stacks and of wires."""
         kind: Any = type(self)

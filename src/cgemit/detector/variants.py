@@ -188,14 +188,7 @@ def _children(node: Any) -> Mapping[str, Any]:
 
 @once
 def _values(part: Part) -> dict[str, Any]:
-    kind: Any = type(part)
-    values = {name: getattr(part, name) for name in keys_of(kind)}
-    if isinstance(part, Readout):
-        values["name"] = part.name
-    if isinstance(part, DriftChamber):
-        values["layers"] = {str(layer.number): layer for layer in part.layers}
-        values["superlayers"] = {one.label: one for one in part.superlayers}
-    return values
+    return part.children()
 
 
 def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:

@@ -361,3 +361,11 @@ def test_show_writes_a_card(tmp_path, capsys):
     assert "barrel of a Delphes card" in capsys.readouterr().out
     assert cg.load(tmp_path / "out" / "detector.toml").layers == cg.load(card(tmp_path)).layers
     assert "VTXLOW2" in (tmp_path / "out" / "detector.tcl").read_text()
+
+
+def test_a_card_states_the_efficiency_of_cgem_layers():
+    """In the row that measures; 1 stood there whatever the layer states."""
+    detector = cg.load("besiii-cgem").with_overrides({"cgem.L2.efficiency": 0.9})
+    rows = {row[1]: row for row in map(str.split, card_of(detector).splitlines()) if row and row[0] == "1"}
+    assert [rows[f"{label}-drift"][-1] for label in ("L1", "L2", "L3")] == ["1", "0.9", "1"]
+    assert rows["L2-anode"][-1] == "0"

@@ -369,6 +369,11 @@ class DriftChamber(Placed):
         """Running number of wire 0 of each layer."""
         return tuple(accumulate((layer.cells for layer in self.layers[:-1]), initial=self.first_gid))
 
+    def children(self) -> dict[str, Any]:
+        """Return the values of the chamber, wire layers by number and superlayers by label."""
+        layers = {str(layer.number): layer for layer in self.layers}
+        return super().children() | {"layers": layers, "superlayers": {one.label: one for one in self.superlayers}}
+
     def inner(self) -> Iterator[tuple[str, Part]]:
         """Yield the wire layers with their paths from here."""
         return ((f"layers.{layer.number}", layer) for layer in self.layers)

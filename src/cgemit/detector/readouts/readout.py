@@ -64,6 +64,10 @@ class Readout(SettingsData, Part):
         """Electrons of ionization in a gap below which a crossing has no clusters; 0: clusters need none."""
         return 1
 
+    def children(self) -> dict[str, Any]:
+        """Return the name and the values."""
+        return super().children() | {"name": self.name}
+
     def stated(self) -> dict[str, Any]:
         """Return the name, and the values that differ from their defaults, by key."""
         found = {one.name: getattr(self, one.name) for one in fields(self)}
