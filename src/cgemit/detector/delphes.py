@@ -24,6 +24,7 @@ _COLUMNS = 13
 _LONGEST = 10_000.0  # mm, of a layer or a cylinder
 _THICKEST = 50.0  # mm, of a layer
 _ROUNDING = 1e-5  # mm, of the numbers of a card
+_DENSEST = 25.0  # g/cm3, of the materials of a detector file
 _GAS = 10_000.0  # mm: matter with a longer radiation length is gas
 #: The thinnest gas that a detector file may have, a thousandth of air.
 _VACUUM = {"composition": "H2", "density": "1e-6 g/cm3", "gas": True}
@@ -56,8 +57,8 @@ def read_card(path: str | Path, *, field: bool = True) -> dict[str, Any]:
 
     Rows that measure become ``[layer.NAME]``, others walls and the beam pipe. The card states no materials: a radiation
     length that is that of silicon, beryllium or another known material stands for it, any other one is carbon at the
-    density that has it. Between the rows is no matter. Rows that overlap become thinner and denser: radius, X/X0 and
-    mass stay. Disks are left out, and listed in the description.
+    density that has it; iron or tungsten below 17 mm, as in a calorimeter. Between the rows is no matter. Rows that
+    overlap become thinner and denser: radius, X/X0 and mass stay. Disks are left out, and listed in the description.
 
     The card is read as data: variables, ``source`` of files beside the card, comments, braces and quotes as in Tcl;
     other commands are not run. The field is the Bz of the module TrackCovariance, or B outside of modules.
@@ -267,6 +268,7 @@ def _rows(
             unknown = [word for word in words if word[0] in "$["]
             expected = f"{_COLUMNS} columns: 1 or 2, a label, and numbers"
             hint = f"; no value is set for {', '.join(unknown)}" if unknown else ""
+            hint += f": add a line such as set {unknown[0][1:]} 1.0" if unknown and unknown[0][0] == "$" else ""
             problems.append(Problem(place, given, expected + hint))
             continue
         if kind == "2":
@@ -378,8 +380,11 @@ def _material(x0: float, part: float, materials: dict[str, Any]) -> str:
     gas = x0 > _GAS
     x0 *= part if denser else 1.0
     name = f"X0-{x0:g}mm"
-    density = x0_of_fractions({"C": 1.0}, 1.0) / x0  # a radiation length is inverse to the density
-    materials[name] = {"composition": "C", "density": f"{density!r} g/cm3", "x0": f"{x0!r} mm", "gas": gas}
+    for element in ("C", "Fe", "W"):  # the lightest that is not denser than a material may be
+        density = x0_of_fractions({element: 1.0}, 1.0) / x0  # a radiation length is inverse to the density
+        if density <= _DENSEST:
+            break
+    materials[name] = {"composition": element, "density": f"{density!r} g/cm3", "x0": f"{x0!r} mm", "gas": gas}
     return name
 
 
