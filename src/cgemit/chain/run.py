@@ -9,8 +9,10 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.files import new_folder
@@ -50,6 +52,7 @@ from cgemit.detector.drift import check_wire_times
 from cgemit.detector.reader import readout_of
 from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
+from cgemit.particles.samples import EventSample
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
 from cgemit.reconstruction.find.ckf import warn_of_no_seeds
@@ -369,6 +372,7 @@ def _checked(
     if until in STAGES[3:] and finder == "ckf":
         warn_of_no_seeds(assumed, given.find)
     shooter, n_events, table, events = source
+    given = _with_flight(given, shooter, table)
     return Job(simulated, assumed, shooter, table, events, given, seed, finder, until, kept), n_events
 
 
@@ -408,6 +412,27 @@ def check_digis(detector: Detector | None, fit_detector: Detector | None, until:
             "readout=... sets both",
             stacklevel=4,
         )
+
+
+def _with_flight(settings: Settings, shooter: Source | Guns | None, table: Table | None) -> Settings:
+    """Return settings that expect raw drift times of cosmic muons; warn if only some particles fly backward."""
+    if table is None:
+        sources = shooter.guns if isinstance(shooter, Guns) else (shooter,)
+        cosmic = [isinstance(one, EventSample) and one.name == "cosmic" for one in sources]
+        some, every = any(cosmic), all(cosmic)
+    else:
+        some = "backward" in table and bool(table["backward"].any())
+        every = some and bool(np.all((table["backward"] == 1) == (table["py"] > 0)))
+    if settings.refine.drift_times != "raw" or not some:
+        return settings
+    if every:
+        return replace(settings, refine=replace(settings.refine, flight="cosmic"))
+    if settings.refine.flight == "outward":
+        warnings.warn(
+            "some particles fly backward (cosmic muons); raw drift times are corrected as if all flew outward",
+            stacklevel=4,
+        )
+    return settings
 
 
 def check_raw_times(detector: Detector | None, settings: Settings | None, until: object) -> None:

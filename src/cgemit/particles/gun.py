@@ -279,6 +279,9 @@ def generate(
         one = one if detector is None else one.within(detector)
         parts.append(one.shoot(seed, events, number))
         number += one.multiplicity
+    for name in {name: None for part in parts for name in part}:  # a column that only some of them have
+        for part in parts:
+            part.setdefault(name, np.zeros(len(part["event"]), np.int8))
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     order = np.lexsort((joined["particle"], joined["event"]))
     columns = {name: column[order] for name, column in joined.items()}

@@ -175,7 +175,8 @@ class EventSample(Source):
             raise ParticleError(f"sample {self.name}", [problem])
         draws = Draws(seed, number)
         if self.name == "cosmic":
-            return _columns(_cosmic(self, events, draws), number)
+            columns = _columns(_cosmic(self, events, draws), number)
+            return {**columns, "backward": (columns["particle"] == number).astype(np.int8)}
         definition = DEFINITIONS[self.name]
         first = [
             (name, self._first(name, place, events, draws, matter))
@@ -289,7 +290,8 @@ def _columns(found: dict[str, list[Particles]], number: int) -> dict[str, Array]
 def _cosmic(of: EventSample, events: npt.NDArray[np.int64], draws: Draws) -> dict[str, list[Particles]]:
     """Return both halves of muons from above, with y up, as particles that leave the same point.
 
-    The zenith angle has the density cos^2. The upper half is the muon flown backward: the opposite charge and momentum.
+    The zenith angle has the density cos^2. The upper half is the muon flown backward (column `backward`): the opposite
+    charge and momentum, and hits before the two halves meet.
     """
     n = len(events)
     lower = Particles(events, 2, np.full(n, mass_of("mu-")), np.zeros((n, 4)), np.zeros((n, 3)))

@@ -57,9 +57,10 @@ def particles_from(
         Columns, each (n,): `event` int, `pdg` int, `px`, `py`, `pz` GeV/c are needed. `x`, `y`, `z` mm are 0
         where not given, `particle` (number within the event) counts the rows of the event, `charge` e and `mass`
         GeV/c2 follow from `pdg`. `time` is that of the production, ns (0 where not given), `decay_time` the time from
-        there to a decay whose products are other rows, ns (infinite: none). Other units are given in the name, as in
-        ``px [MeV]``. Rows may come in any order; those of an event keep theirs. Further columns of
-        numbers are kept. An awkward array holds one list of records per event, or a record of lists; events are then
+        there to a decay whose products are other rows, ns (infinite: none), `backward` 1 for particles whose hits are
+        earlier. Other units are given in the name, as in ``px [MeV]``. Rows may come in any order; those of an event
+        keep theirs. Further columns of numbers are kept. An awkward array holds one list of records per event, or a
+        record of lists; events are then
         counted from 0, unless there is a field `event`. A file is a table of particles as `Table.save` or
         `Result.save` wrote it, a table of another program with these columns (``.csv``, ``.parquet``, ``.root``,
         ``.npz``), or an event record: HepMC2 or HepMC3 as text (``.hepmc``, ``.hepmc3``, ``.hepmc.gz``; needs
@@ -456,7 +457,7 @@ def _filled(columns: Mapping[str, Array], charges: Mapping[int, int]) -> dict[st
 
 
 _NEEDED = ("event", "pdg", "px", "py", "pz")
-_OPTIONAL = ("x", "y", "z", "charge", "mass", "time", "decay_time", "particle")
+_OPTIONAL = ("x", "y", "z", "charge", "mass", "time", "decay_time", "backward", "particle")
 _MOST_CHARGE = 127
 _LARGEST = 1e12  # mm or GeV/c: no number of a particle
 _FLOATS = tuple(column.name for column in SCHEMAS["particles"] if column.dtype.kind == "f")
@@ -501,6 +502,8 @@ def _problems(columns: Mapping[str, Array], charges: Mapping[int, int]) -> Probl
             bad[name, "is not finite"] = name, ~np.isfinite(column)
         elif name in _WHOLE:
             bad[name, "is not a whole number"] = name, ~(np.isfinite(column) & (column == np.rint(column)))
+    if "backward" in columns:
+        bad["backward", "is not 0 or 1"] = "backward", ~np.isin(columns["backward"], (0, 1))
     if "decay_time" in columns:
         bad["decay_time", "is not above 0"] = "decay_time", ~(columns["decay_time"] > 0)
     for name in ("x", "y", "z", "px", "py", "pz"):

@@ -47,6 +47,9 @@ class RefineSettings(SettingsData):
     drift_times : str
         ``"raw"``: drift times also hold flight and propagation along the wire, which are subtracted. A run with
         `digitize.wire_times = "raw"`` takes ``"raw"``.
+    flight : str
+        Flight in raw drift times. ``"outward"``: away from the beam line. ``"cosmic"``: muons from above, with y up;
+        hits of upward tracks are earlier than the closest approach. A run of cosmic muons alone takes ``"cosmic"``.
     start_time : str
         ``"fitted"``: a common offset of the drift times of each event is fitted from its tracks
         (docs/methods/reconstruct.md).
@@ -70,6 +73,7 @@ class RefineSettings(SettingsData):
     """
 
     drift_times: Literal["corrected", "raw"] = "corrected"
+    flight: Literal["outward", "cosmic"] = "outward"
     start_time: Literal["given", "fitted"] = "given"
     start_time_error: TimeError | None = None
     find_again: bool = True
@@ -175,17 +179,29 @@ class Refinement:
 
 
 class DriftTimes(Refinement):
-    """Time of flight and propagation along the wire, subtracted from raw drift times."""
+    """Time of flight and propagation along the wire, subtracted from raw drift times.
+
+    Parameters
+    ----------
+    cosmic : bool
+        Whether particles come from above (`RefineSettings.flight`).
+    """
+
+    def __init__(self, *, cosmic: bool = False) -> None:
+        self._cosmic = cosmic
 
     def guess(self, detector: Detector, hits: Hits) -> Hits:
         """Subtract the delay at the middle of each wire."""
-        return replace(hits, wire_hits=expected(detector, hits.wire_hits))
+        return replace(hits, wire_hits=expected(detector, hits.wire_hits, cosmic=self._cosmic))
 
     def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
         """Subtract the delay on the track; hits on no good track keep the guess."""
-        found, measured = expected(detector, hits.wire_hits), hits.wire_hits
+        found, measured = expected(detector, hits.wire_hits, cosmic=self._cosmic), hits.wire_hits
         states = _known(turn.states)
         time = flight(states, turn.candidates, turn.tracks)
+        if self._cosmic:
+            first = np.searchsorted(states["track"], states["track"])  # the state at the origin
+            time = np.where(states["py"][first] > 0, -time, time)
         wire = states["view"] == HIT_WIRE
         row, time, z = states["hit"][wire], time[wire], states["z"][wire]
         row, first = np.unique(row, return_index=True)  # of several tracks the first one counts
@@ -197,17 +213,20 @@ class DriftTimes(Refinement):
         return replace(hits, wire_hits=found.with_columns(**columns))
 
 
-def expected(detector: Detector, wire_hits: Table) -> Table:
+def expected(detector: Detector, wire_hits: Table, *, cosmic: bool = False) -> Table:
     """Return wire hits corrected for the delay at the middle of their wires, before any track is known.
 
-    The time of flight is taken for light on a straight line from the origin to the wire at z = 0. Errors include the
-    uniform spread of the propagation over the wire of length L, L/(v sqrt(12)) times the drift velocity.
+    The time of flight is taken for light on a straight line from the origin to the wire at z = 0; with particles from
+    above it is negative for wires above the origin. Errors include the uniform spread of the propagation over the wire
+    of length L, L/(v sqrt(12)) times the drift velocity.
 
     Parameters
     ----------
     detector : Detector
     wire_hits : Table
         With raw drift times.
+    cosmic : bool
+        Whether particles come from above, with y up.
 
     Raises
     ------
@@ -217,7 +236,12 @@ def expected(detector: Detector, wire_hits: Table) -> Table:
     layer = wire_hits["layer"]
     radius, half_length, speed = _of_layers(detector, layer, "r_mid", "half_length", "signal_speed")
     relation = relation_of(detector)
-    found = _earlier(relation, wire_hits, radius / LIGHT + propagation_time(detector, layer, 0.0))
+    time = radius / LIGHT
+    if cosmic:
+        first, twist, cells = _of_layers(detector, layer, "phi_east", "twist", "cells")
+        above = np.sin(first - 0.5 * twist + 2 * np.pi * wire_hits["wire"] / cells) > 0
+        time = np.where(above, -time, time)
+    found = _earlier(relation, wire_hits, time + propagation_time(detector, layer, 0.0))
     spread = 2 * half_length / (speed * np.sqrt(12)) * relation.velocity_at(found["drift"])
     return found.with_columns(sigma=np.hypot(found["sigma"], spread))
 
@@ -593,5 +617,7 @@ def refinements(settings: RefineSettings) -> list[Refinement]:
     >>> [type(one).__name__ for one in cg.refinements(cg.RefineSettings(drift_times="raw", start_time="fitted"))]
     ['DriftTimes', 'StartTime']
     """
-    found: list[Refinement] = [DriftTimes()] if settings.drift_times == "raw" else []
+    found: list[Refinement] = []
+    if settings.drift_times == "raw":
+        found = [DriftTimes(cosmic=settings.flight == "cosmic")]
     return [*found, StartTime(settings.start_time_error)] if settings.start_time == "fitted" else found

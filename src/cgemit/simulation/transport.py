@@ -148,8 +148,10 @@ def transport(detector: Detector, particles: Table, settings: SimulateSettings, 
     out = _core.simulation.simulate(**core_arguments(detector, particles, settings, seed))
     cover = particles.cover
     status = not_transported(particles)
-    if "time" in particles and particles["time"].any():
-        for name in ("decays", "truths", "wire_truths"):
+    for name in ("decays", "truths", "wire_truths"):
+        if "backward" in particles and particles["backward"].any():
+            out[name]["time"] = np.where(_of_particles(particles, out[name], "backward"), -1, 1) * out[name]["time"]
+        if "time" in particles and particles["time"].any():
             out[name]["time"] = out[name]["time"] + _of_particles(particles, out[name], "time")
     return {
         "particles": particles.with_columns(status=np.where(status > 0, status, out["status"]).astype(np.int8)),

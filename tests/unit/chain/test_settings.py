@@ -110,6 +110,7 @@ CASES: dict[str, Case] = {
     "fit.momentum": Case(0.1, FITTED, WITHOUT_FIELD | {"find.momentum": 1.0}),
     "fit.prior_sigma": Case((1.0, 0.05, 0.5, 1.0, 0.2), FITTED),
     "refine.drift_times": Case("raw", FOUND),
+    "refine.flight": Case("cosmic", FOUND, {"refine.drift_times": "raw"}),
     "refine.start_time": Case("fitted", FOUND),
     # Without another search, whose hits would depend on the error.
     "refine.start_time_error": Case(
@@ -287,6 +288,7 @@ def test_settings_reach_the_fit_of_given_hits(folder: str) -> None:
     """`fit_hits` takes settings of the fit, refinements, cluster errors and finder; each changes what it makes."""
     own: dict[str, Mapping[str, Any]] = {
         "cluster": {"settings": cg.FitSettings(cluster_errors="cluster")},
+        "refine.flight": {"refine": cg.RefineSettings(drift_times="raw")},
         "refine.start_time_error": {"refine": cg.RefineSettings(drift_times="raw", start_time="fitted")},
         "refine.find_again": {"refine": cg.RefineSettings(drift_times="raw", start_time="fitted")},
         "fit.radiation": {"settings": cg.FitSettings(hypothesis="e")},

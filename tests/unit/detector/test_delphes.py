@@ -317,7 +317,7 @@ def test_rows_that_touch_and_overlap_are_in_the_resolutions(tmp_path, p):
     detector = cg.load(card(tmp_path, text))
     right = sum(float(words[5]) / float(words[6]) for words in map(str.split, text.splitlines()))
     assert matter(detector) == pytest.approx(right, rel=1e-5)
-    assert {"CAL", "COIL"} < set(detector.walls)
+    assert {"CAL", "COIL"} < {wall.label for wall in detector.walls}
     with_all = assert_as_least_squares(detector, text, p, 0.0, 2.0)
     supports = ("BESIDE", "SHELL", "TOUCH", " 0.000557 ")
     rows = rows_by_radius("\n".join(line for line in text.splitlines() if not any(one in line for one in supports)))

@@ -230,6 +230,51 @@ def test_cosmic_muons_come_from_above_in_two_halves() -> None:
     assert_within(z[:, 0].std(), 100, 100 / math.sqrt(2 * N))
 
 
+def paths(rows: cg.Table, particles: cg.Table, x: np.ndarray, y: np.ndarray, field: float) -> np.ndarray:
+    """Return the path from the origin along a helix to points at (x, y) over beta c, ns; negative in the upper half."""
+    place = np.searchsorted(particles["event"] * 2 + particles["particle"], rows["event"] * 2 + rows["particle"])
+    px, py, pz = (particles[name][place] for name in ("px", "py", "pz"))
+    across, p = np.hypot(px, py), np.sqrt(px**2 + py**2 + pz**2)
+    radius = across / (0.299792458e-3 * field)  # mm
+    path = 2 * radius * np.arcsin(np.hypot(x, y) / (2 * radius)) * p / across
+    beta = p / np.hypot(p, particles["mass"][place])
+    return np.where(py > 0, -1, 1) * path / (beta * 299.792458)
+
+
+def test_cosmic_muons_fly_in_through_the_upper_half() -> None:
+    """Hits above are before the halves meet, those below after it, by path/(beta c); strips follow."""
+    muons = cg.sample("cosmic", p=20.0, vertex_sigma=(0, 0, 0))
+    result = cg.run("besiii-cgem", muons, 50, 5, readout="analog-projection", until="digitize")
+    crossings, wires = result.truths, result.wire_truths
+    for rows, x, y in (
+        (wires, wires["x"], wires["y"]),
+        (crossings, *(0.5 * (crossings[f"entry_{i}"] + crossings[f"exit_{i}"]) for i in "xy")),
+    ):
+        by_hand = paths(rows, result.particles, x, y, 1.0)
+        assert {-1, 1} == set(np.sign(by_hand))
+        np.testing.assert_allclose(rows["time"], by_hand, atol=1e-3)
+    # Electrons of both halves drift alike, so that arrival times differ by twice the flight to the layer.
+    digis = result.digis[(result.digis["layer"] == 2) & (result.digis["n_truths"] == 1)]
+    above = crossings["entry_y"][digis["truth"]] > 0
+    up, down = digis["time"][above], digis["time"][~above]
+    flown = np.abs(crossings["time"][crossings["layer"] == 2]).mean()
+    assert_within(down.mean() - up.mean(), 2 * flown, float(np.hypot(mean_error(up), mean_error(down))))
+
+
+def test_particles_flown_backward_in_tables_and_with_guns() -> None:
+    """The column `backward` is 0 or 1; guns beside a sample have 0."""
+    both = generate(cg.sample("cosmic") + cg.Gun("mu-", p=1.0, cos_theta=0.0), 3, seed=1)
+    assert both["backward"].tolist() == [1, 0, 0] * 3
+    assert "backward" not in generate(cg.Gun("mu-", p=1.0, cos_theta=0.0), 3, seed=1)
+    one = {"event": [0, 1], "pdg": [13, 13], "px": [0.5, 0.5], "py": [0.0, 0.0], "pz": [0.1, 0.1], "backward": [0, 1]}
+    times = cg.run("besiii-cgem", one, until="simulate").wire_truths
+    first = times["event"] == 0
+    assert np.all(times["time"][first] > 0)
+    assert np.all(times["time"][~first] < 0)
+    with pytest.raises(ParticleError, match=r"backward: .*is not 0 or 1"):
+        cg.run("besiii-cgem", one | {"backward": [0, 2]}, until="simulate")
+
+
 @pytest.mark.parametrize("name", ["besiii-cgem", "besiii-idc", "kloe2-like"])
 def test_electrons_start_in_matter(name: str) -> None:
     """In the shells of the detector, in proportion to X/X0, length, and radius to the power -1.2; isotropic."""

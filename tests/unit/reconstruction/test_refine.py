@@ -439,3 +439,26 @@ def test_distances_and_velocities_follow_the_table():
     assert np.allclose(BESIII.velocity_at([-1.0, 0.2, 1.0, 8.0, 20.0]), [0.05, 0.05, 0.7 / 15, 0.008, 0.008])
     time = np.array([5.0, 60.0])
     assert np.allclose(BESIII.shifted(np.array([0.3, 2.4]), time, 5.0), [0.55, 2.56])
+
+
+def test_raw_times_of_cosmic_muons():
+    """The flight of the upper half is negative, with and without tracks; a run of cosmic muons takes that itself."""
+    muons = cg.sample("cosmic", p=3.0)
+    result = run(gun=muons, n=60)
+    late = true_delay(IDC, result.wire_truths)[result.wire_hits["wire_truth"]]
+    true = result.wire_hits["drift_time"] - late
+    used = result.refined_wire_hits["drift_time"] - true
+    upper = result.wire_truths["y"][result.wire_hits["wire_truth"]] > 0
+    assert np.median(late[upper]) < np.median(late[~upper]) - 2
+    for half in (upper, ~upper):  # vertices are spread by 8 mm across the beam, 0.03 ns
+        assert abs(np.median(used[half])) < 0.02
+        assert np.median(np.abs(used[half])) < 0.05
+    flown = np.hypot(result.wire_truths["x"], result.wire_truths["y"])[result.wire_hits["wire_truth"]] / LIGHT
+    guess = expected_of_refine(IDC, result.wire_hits, cosmic=True)["drift_time"] - true
+    assert abs(np.median(guess[upper])) < 0.5
+    outward = expected_of_refine(IDC, result.wire_hits)["drift_time"] - true
+    assert np.median((outward - guess)[upper] / flown[upper]) == pytest.approx(-2, abs=0.05)
+    with pytest.warns(UserWarning, match="some particles fly backward"):
+        run(gun=muons + cg.Gun("mu-", p=1.0, cos_theta=0.0), n=1)
+    again = run(gun=result.particles, n=60)
+    assert np.array_equal(again.refined_wire_hits["drift_time"], result.refined_wire_hits["drift_time"])
