@@ -859,6 +859,26 @@ def test_clean_tracks_of_stereo_wires_keep_them() -> None:
     assert tracks["n_outliers"].max() <= 1
 
 
+@pytest.mark.parametrize("p", [0.0528, 0.06, 0.1])
+@pytest.mark.parametrize(("cells", "layers"), [("7 mm", 18), ("14 mm", 10)])
+def test_tracks_that_turn_back_among_stereo_wires_have_a_start(p: float, cells: str, layers: int) -> None:
+    """Positrons of muons at rest cross several cells of their last layers, at azimuths that tell nothing."""
+    chamber = {
+        "gas": "Light", "sigma": "110 um", "half_length": "950 mm", "wires": "none",
+        "superlayers": {
+            f"S{i}": {"layers": 1, "cells": cells, "stereo": f"{-100 if i % 2 else 100} mrad"} for i in range(layers)
+        },
+    }  # fmt: skip
+    chamber["superlayers"]["S0"]["r_in"] = "170 mm"
+    gas = {"density": "0.36e-3 g/cm3", "composition": {"He": 0.55, "C": 0.36, "H": 0.09}, "gas": True}
+    detector = {"name": "curl", "field": {"bz": "-1.25 T"}, "materials": {"Light": gas}, "drift_chamber": chamber}
+    exact = cg.Settings(simulate=SimulateSettings(fluctuations="gaussian", decays=False))
+    result = cg.run(detector, cg.Gun("e+", p=p, cos_theta=(-0.3, 0.3)), 40, 1, settings=exact, workers=1)
+    assert (result.tracks["status"] == FitStatus.ok).all()
+    pulls = np.stack([result.matches[f"pull_{name}"] for name in ("dr", "phi0", "kappa", "dz", "tanl")])
+    assert np.abs(pulls).max() < 8
+
+
 @pytest.mark.usefixtures("each_isa")
 def test_a_fit_that_gives_up_hits_starts_again() -> None:
     """The first start of event 426 ends with 21 of 66 hits: a good fit, were the other 45 not counted."""

@@ -1,6 +1,6 @@
 // The hits of an event that measure across the beam: axial wires and X clusters that no track has taken; and
 // the fit of a circle to those near it. Or, in a chamber without axial wires, the wires of one stereo sign:
-// drawn where they are at z = 0, those of a helix lie on a circle (`views.hpp`).
+// drawn where they are at z = 0, those of a helix lie on a circle (`motion/views.hpp`).
 #pragma once
 
 #include <array>
@@ -9,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include "motion/views.hpp"
 #include "reconstruction/find/event_hits.hpp"
 #include "reconstruction/find/find.hpp"
 
@@ -54,7 +55,7 @@ class AxialHits {
   double max_d() const { return max_d_; }  // mm, of a circle from the beam line
   // Of a view of one stereo sign.
   bool is_view() const { return sign_ != 0; }
-  bool has(const WireLayer& layer) const { return (layer.twist > 0 ? 1 : layer.twist < 0 ? -1 : 0) == sign_; }
+  bool has(const WireLayer& layer) const { return stereo_sign(layer) == sign_; }
   std::uint64_t bit(std::size_t wire_layer) const { return bits_[wire_layer]; }
 
   // Fits a circle to the hits near a first one; the hits of the circle are left out afterwards. `more`:

@@ -6,6 +6,7 @@
 #include "common/angles.hpp"
 #include "detector/strip_plane.hpp"
 #include "motion/helix.hpp"
+#include "motion/views.hpp"
 #include "reconstruction/find/compete.hpp"
 
 namespace cgemit {
@@ -19,20 +20,6 @@ constexpr double slow_d = 15;    // mm, of slower particles from the beam line
 constexpr std::int64_t work_of_circle = 10, work_of_score = 40;
 
 }  // namespace
-
-HelixPoint circle_through(double ax, double ay, double bx, double by, double cx, double cy) {
-  const double abx = bx - ax, aby = by - ay, acx = cx - ax, acy = cy - ay;
-  const double ab = std::hypot(abx, aby), ac = std::hypot(acx, acy), bc = std::hypot(cx - bx, cy - by);
-  const double w = 2 * (abx * acy - aby * acx) / (ab * ac * bc);
-  const double half = std::asin(std::clamp(0.5 * w * ac, -1.0, 1.0));
-  const double psi = std::atan2(acy, acx) - half;
-  return {ax, ay, 0, std::cos(psi), std::sin(psi), 0, w};
-}
-
-double arc_of(double w, double chord) {
-  const double sine = std::clamp(0.5 * w * chord, -1.0, 1.0);
-  return std::abs(sine) < 1e-6 ? chord : 2 * std::asin(sine) / w;
-}
 
 SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& settings)
     : detector_(detector),

@@ -21,11 +21,6 @@ inline double variance_of_kappa(double kappa) {
   return sigma * sigma;
 }
 
-// A circle through three points, flown through from the first to the last.
-HelixPoint circle_through(double ax, double ay, double bx, double by, double cx, double cy);
-// The arc of a circle with this curvature over a chord, less than half a turn.
-double arc_of(double w, double chord);
-
 class SegmentFinder {
  public:
   SegmentFinder(const Detector& detector, const FindSettings& settings);

@@ -5,65 +5,32 @@
 #include <bit>
 #include <cmath>
 #include <tuple>
+#include <utility>
 
 #include "common/angles.hpp"
 #include "motion/helix.hpp"
 #include "reconstruction/find/score.hpp"
-#include "reconstruction/find/segments.hpp"
 
 namespace cgemit {
 
 namespace {
 
-constexpr int radii = 5;             // at which two circles are compared
 constexpr double off_line = 150;     // mm of z, of a point between two circles from a line
 constexpr double beyond_end = 50;    // mm, of a wire
-constexpr double hit_error = 0.3;    // mm, with what the helix neglects
-constexpr int fewest_layers = 3;     // of each view
+constexpr double view_error = 0.3;   // mm, with what the helix neglects
+constexpr int fewest_of_view = 3;    // of each view
 constexpr double least_share = 0.6;  // of the layers of a view that the helix spans
 // mm, at which hits count: the first helix is as uncertain as the heights between two circles. Hits of others
 // count where it is sharp.
-constexpr std::array<double, 7> windows{25, 15, 8, 4, 2, 1.5, 1.2};
+constexpr std::array<double, 7> view_windows{25, 15, 8, 4, 2, 1.5, 1.2};
 constexpr double sharp = 2;
-
-double inner_radius(const Detector& detector, const FoundCircle& circle, const EventHits& hits) {
-  return std::sqrt(detector.wires[static_cast<std::size_t>(hits[circle.hits.front()].layer)].waist);
-}
-double outer_radius(const Detector& detector, const FoundCircle& circle, const EventHits& hits) {
-  return std::sqrt(detector.wires[static_cast<std::size_t>(hits[circle.hits.back()].layer)].waist);
-}
-
-// The azimuth at which a circle leaves a cylinder.
-std::optional<double> azimuth_at(const FoundCircle& circle, double r) {
-  const double ux = std::cos(circle.psi), uy = std::sin(circle.psi);
-  HelixPoint at{circle.d * uy, -circle.d * ux, 0, ux, uy, 0, circle.w};
-  double arc = 0;
-  if (std::abs(circle.d) >= r || !step_to_cylinder(at, r, arc)) return std::nullopt;
-  return std::atan2(at.y, at.x);
-}
 
 }  // namespace
 
 ViewSearch::ViewSearch(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
-      views_{View(detector, settings, 1), View(detector, settings, -1)} {
-  for (View& view : views_)
-    for (const WireLayer& layer : detector.wires) {
-      if (!view.hits.has(layer)) continue;
-      view.radii.push_back(std::sqrt(layer.waist));
-      view.turns.push_back(std::abs(layer.twist_per_z));
-    }
-}
-
-// Between layers, that of neighbours by their distance.
-double ViewSearch::View::turn(double r) const {
-  const auto next = static_cast<std::size_t>(std::ranges::upper_bound(radii, r) - radii.begin());
-  if (next == 0) return turns.front();
-  if (next == radii.size()) return turns.back();
-  const double part = (r - radii[next - 1]) / (radii[next] - radii[next - 1]);
-  return turns[next - 1] + part * (turns[next] - turns[next - 1]);
-}
+      views_{View(detector, settings, 1), View(detector, settings, -1)} {}
 
 const std::vector<ViewSeed>& ViewSearch::find(const EventHits& hits, bool displaced) {
   boxes_cut_ = segments_cut_ = false;
@@ -143,58 +110,28 @@ void ViewSearch::circles(View& view, const EventHits& hits, bool displaced) {
   collect(view.displaced);
 }
 
-// Where two circles are at a radius.
-auto ViewSearch::between(const FoundCircle& a, const FoundCircle& b, double r) const -> std::optional<Point> {
-  const auto phi_a = azimuth_at(a, r), phi_b = azimuth_at(b, r);
-  if (!phi_a || !phi_b) return std::nullopt;
-  const double turn_a = views_[0].turn(r), turn_b = views_[1].turn(r), both = turn_a + turn_b;
-  const double apart = wrap_angle(*phi_b - *phi_a), phi = *phi_a + apart * turn_a / both;
-  return Point{r * std::cos(phi), r * std::sin(phi), apart / both};
-}
-
 // The helix of two circles, if they belong to one: heights on a line.
-auto ViewSearch::together(const FoundCircle& a, const FoundCircle& b, const EventHits& hits) const
-    -> std::optional<Helix> {
-  double from = std::max(inner_radius(detector_, a, hits), inner_radius(detector_, b, hits)),
-         to = std::min(outer_radius(detector_, a, hits), outer_radius(detector_, b, hits));
-  if (to < 1.2 * from) {
-    from = std::min(inner_radius(detector_, a, hits), inner_radius(detector_, b, hits));
-    to = std::max(outer_radius(detector_, a, hits), outer_radius(detector_, b, hits));
-  }
-  std::array<Point, radii> points;
-  std::size_t n = 0;
-  for (int i = 0; i < radii; ++i)
-    if (const auto point = between(a, b, from + i * (to - from) / (radii - 1))) points[n++] = *point;
-  if (n < 3) return std::nullopt;
-  const Point &low = points[0], &middle = points[n / 2], &high = points[n - 1];
-  const HelixPoint at = circle_through(low.x, low.y, middle.x, middle.y, high.x, high.y);
-  if (at.outward() < 0) return std::nullopt;
-  const PivotApproach line = approach_pivot(at, 0, 0);
-  if (!line.exists) return std::nullopt;
-  double one = 0, s1 = 0, s2 = 0, z1 = 0, sz = 0;
-  std::array<double, radii> arcs;
-  for (std::size_t i = 0; i < n; ++i) {
-    const double s = -line.arc + arc_of(at.w, std::hypot(points[i].x - low.x, points[i].y - low.y));
-    arcs[i] = s;
-    one += 1;
-    s1 += s;
-    s2 += s * s;
-    z1 += points[i].z;
-    sz += s * points[i].z;
-  }
-  const double determinant = one * s2 - s1 * s1;
-  if (!(determinant > 0)) return std::nullopt;
-  const double z0 = (z1 * s2 - sz * s1) / determinant, tanl = (one * sz - s1 * z1) / determinant;
-  for (std::size_t i = 0; i < n; ++i)
-    if (std::abs(points[i].z - z0 - tanl * arcs[i]) > off_line) return std::nullopt;
-  if (std::abs(z0) > settings_.max_z + off_line || std::abs(line.d) > views_[0].hits.max_d())
+std::optional<ViewHelix> ViewSearch::together(const FoundCircle& a, const FoundCircle& b,
+                                              const EventHits& hits) const {
+  const auto radius = [&](std::int32_t id) {
+    return std::sqrt(detector_.wires[static_cast<std::size_t>(hits[id].layer)].waist);
+  };
+  const auto [a_in, a_out] = std::pair(radius(a.hits.front()), radius(a.hits.back()));
+  const auto [b_in, b_out] = std::pair(radius(b.hits.front()), radius(b.hits.back()));
+  constexpr double apart = 1.2;  // ratio of radii between which both have hits; else both are continued
+  const bool overlap = std::min(a_out, b_out) > apart * std::max(a_in, b_in);
+  const double from = overlap ? std::max(a_in, b_in) : std::min(a_in, b_in),
+               to = overlap ? std::min(a_out, b_out) : std::max(a_out, b_out);
+  const auto helix = helix_of_views(detector_, {a.d, a.psi, a.w}, {b.d, b.psi, b.w}, from, to);
+  if (!helix || helix->off > off_line || std::abs(helix->z0) > settings_.max_z + off_line ||
+      std::abs(helix->d) > views_[0].hits.max_d())
     return std::nullopt;
-  return Helix{line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), at.w, z0, tanl};
+  return helix;
 }
 
 // Least squares of all five parameters to the wires of both circles near the helix, one window after the
 // other.
-std::optional<ViewSeed> ViewSearch::refined(Helix helix, const FoundCircle& a, const FoundCircle& b,
+std::optional<ViewSeed> ViewSearch::refined(ViewHelix helix, const FoundCircle& a, const FoundCircle& b,
                                             const EventHits& hits) {
   of_circles_.assign(static_cast<std::size_t>(hits.size()), 0);
   for (const FoundCircle* circle : {&a, &b})
@@ -204,7 +141,7 @@ std::optional<ViewSeed> ViewSearch::refined(Helix helix, const FoundCircle& a, c
   ViewSeed found{{}, 0, 0, {}, {}};
   double chi2 = 0;
   Matrix normal;
-  for (const double window : windows) {
+  for (const double window : view_windows) {
     normal = Vector(1e-6, 1e-2, 1e-2, 1e-6, 1e-2).asDiagonal();
     Vector right = Vector::Zero();
     const double ux = std::cos(helix.psi), uy = std::sin(helix.psi), n = 1 - helix.w * helix.d;
@@ -237,7 +174,7 @@ std::optional<ViewSeed> ViewSearch::refined(Helix helix, const FoundCircle& a, c
       Vector row;
       row << 1 - helix.w * (across + helix.d), -n * along,
           -helix.d * across - 0.5 * helix.d * helix.d - 0.5 * squares, slope, slope * at.arc;
-      const double weight = 1 / (hit_error * hit_error + 0.01 * window * window);
+      const double weight = 1 / (view_error * view_error + 0.01 * window * window);
       normal += weight * row * row.transpose();
       right += weight * off * row;
       chi2 += weight * off * off;
@@ -266,7 +203,7 @@ std::optional<ViewSeed> ViewSearch::refined(Helix helix, const FoundCircle& a, c
       spanned += here ? 1 : 0;
       layers += here && any ? 1 : 0;
     }
-    if (layers < fewest_layers || layers < least_share * spanned) return std::nullopt;
+    if (layers < fewest_of_view || layers < least_share * spanned) return std::nullopt;
   }
   if (std::abs(helix.w) > 1.15 * views_[0].hits.largest_w() || std::abs(helix.d) > settings_.max_d ||
       std::abs(helix.z0) > settings_.max_z)

@@ -1,10 +1,7 @@
 // Seeds of chambers without axial wires, from the two signs of the stereo angle.
 //
-// A wire turns about the beam line by t z, with t = tan(twist/2)/half length. Where it is at z = 0 it has,
-// seen along a helix, the azimuth phi - t z: a circle again to a few millimetres, since z grows linearly with
-// the arc. So each sign is a view of its own, in which circles are searched as among axial wires, sides
-// included. Two circles, one of each view, that belong together are half of their sum and half of their
-// difference: the azimuth and the height of a helix at each radius.
+// Each sign is a view (`motion/views.hpp`), in which circles are searched as among axial wires, sides
+// included.
 #pragma once
 
 #include <array>
@@ -12,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include "motion/views.hpp"
 #include "reconstruction/find/axial.hpp"
 #include "reconstruction/find/displaced.hpp"
 #include "reconstruction/find/follower.hpp"
@@ -47,21 +45,11 @@ class ViewSearch {
     AxialSearch axial;
     DisplacedSearch displaced;
     std::vector<FoundCircle> circles;
-    std::vector<double> radii, turns;  // of its layers: mm, and turning per height, 1/mm
-    double turn(double r) const;
   };
-  struct Helix {
-    double d, psi, w, z0, tanl;
-  };
-  struct Point {
-    double x, y, z;
-  };
-
   void assign();
   void circles(View& view, const EventHits& hits, bool displaced);
-  std::optional<Helix> together(const FoundCircle& a, const FoundCircle& b, const EventHits& hits) const;
-  std::optional<Point> between(const FoundCircle& a, const FoundCircle& b, double r) const;
-  std::optional<ViewSeed> refined(Helix helix, const FoundCircle& a, const FoundCircle& b,
+  std::optional<ViewHelix> together(const FoundCircle& a, const FoundCircle& b, const EventHits& hits) const;
+  std::optional<ViewSeed> refined(ViewHelix helix, const FoundCircle& a, const FoundCircle& b,
                                   const EventHits& hits);
 
   const Detector& detector_;

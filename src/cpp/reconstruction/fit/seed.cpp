@@ -1,5 +1,6 @@
 #include "reconstruction/fit/seed.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -8,6 +9,7 @@
 #include "detector/strip_plane.hpp"
 #include "kalman/vector.hpp"
 #include "motion/helix.hpp"
+#include "motion/views.hpp"
 #include "reconstruction/fit/annealed.hpp"
 #include "reconstruction/fit/circle.hpp"
 #include "reconstruction/fit/slow_seed.hpp"
@@ -130,12 +132,12 @@ using LineFit = Annealed<LineShape>;
 using StepFit = Annealed<StepShape>;
 
 CircleFit::Result find_circle(const Detector& detector, std::span<const Hit> hits,
-                              std::span<const std::int8_t> sides, SeedFrom from) {
+                              std::span<const std::int8_t> sides, SeedFrom from, int sign = 0) {
   CircleFit fit;
   for (std::size_t i = 0; i < hits.size(); ++i) {
     const Hit& hit = hits[i];
     const auto index = static_cast<std::size_t>(hit.layer);
-    if (hit.view == View::wire && detector.wires[index].twist == 0) {
+    if (hit.view == View::wire && stereo_sign(detector.wires[index]) == sign) {
       const Wire& wire = detector.wires[index].placed[static_cast<std::size_t>(hit.channel)];
       fit.add({wire.x, wire.y, {hit.value, static_cast<double>(sides[i]), 1 / wire_error, 1}});
     } else if (hit.view == View::x && from == SeedFrom::wires_and_clusters) {
@@ -330,6 +332,30 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, const WiresO
   return Perigee{0, wrap_angle(first + found[1]), kappa, found[3], found[4]};
 }
 
+// The helix of the circles of both stereo signs, each through the wires where they are at z = 0. For tracks
+// that turn back in the chamber: they cross several cells of a layer, whose azimuths tell nothing there.
+std::optional<Perigee> seed_from_views(const Detector& detector, std::span<const Hit> hits,
+                                       std::span<const std::int8_t> sides, double rigidity) {
+  if (std::ranges::count(detector.wires, 0.0, &WireLayer::twist) >= 3) return std::nullopt;
+  std::array<ViewCircle, 2> views;
+  for (std::size_t i = 0; i < 2; ++i) {
+    const auto circle = find_circle(detector, hits, sides, SeedFrom::wires, i == 0 ? 1 : -1).model;
+    if (!circle) return std::nullopt;
+    views[i] = {circle->d, std::atan2(circle->uy, circle->ux), circle->w};
+  }
+  double from = HUGE_VAL, to = 0;
+  for (const Hit& hit : hits) {
+    if (hit.view != View::wire) continue;
+    const double r = std::sqrt(detector.wires[static_cast<std::size_t>(hit.layer)].waist);
+    from = std::min(from, r);
+    to = std::max(to, r);
+  }
+  const auto helix = helix_of_views(detector, views[0], views[1], from, to);
+  if (!helix) return std::nullopt;
+  const double kappa = kappa_of(detector, helix->w, helix->tanl, rigidity);
+  return Perigee{helix->d, helix->psi, kappa == 0 ? 1e-9 : kappa, helix->z0, helix->tanl};
+}
+
 // What a helix, with this circle and line, passes at (x + gx z, y + gy z), to linear order in a step of it.
 template <class T>
 StepShape::Point<T> step_point(const Circle& c, double z0, double tanl, const T& at_x, const T& at_y,
@@ -406,8 +432,12 @@ std::optional<Seed> seed_helix(const Detector& detector, std::span<const Hit> hi
   if (from == SeedFrom::azimuths) {
     const WiresOfTrack wires(detector, hits, sides, false);
     const auto first = seed_from_azimuths(detector, wires, rigidity);
-    if (!first) return std::nullopt;
-    const Seed seed = seed_near(detector, hits, wires, *first, rigidity).value_or(Seed{*first, HUGE_VAL});
+    auto found = first ? seed_near(detector, hits, wires, *first, rigidity) : std::nullopt;
+    const auto other = found ? std::nullopt : seed_from_views(detector, hits, sides, rigidity);
+    if (other) found = seed_near(detector, hits, wires, *other, rigidity);
+    if (other && found) found->spread = HUGE_VAL;  // sides are not taken from it
+    if (!found && !first && !other) return std::nullopt;
+    const Seed seed = found.value_or(Seed{first ? *first : *other, HUGE_VAL});
     return Seed{corrected(detector, seed.helix, middle, mass, charge), seed.spread};
   }
   const auto [circle, scale] = find_circle(detector, hits, sides, from);
