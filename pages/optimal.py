@@ -181,7 +181,7 @@ class TracedSlab:
         self, slab: Slab, whole_xi: float, acting_chi_c2: float, cut: tuple[float, float], per_unseen: float = 1.0
     ) -> None:
         self.slab, self.radius, self.gap, self.spread = slab, slab.radius, slab.gap, slab.spread
-        self.half_length = max(shell.half_length for shell in slab.shells)
+        self.half_length = max(shell.ends[1] for shell in slab.shells)
         self.whole_xi, self.acting_chi_c2, self.cut, self.per_unseen = whole_xi, acting_chi_c2, cut, per_unseen
         self.shifts = slab.spread * 13.6e-3 * np.sqrt(slab.x0) > _THICK
         self.sigma = np.zeros(5)
@@ -252,7 +252,7 @@ def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> li
     """
     found, crossed = slabs(detector), []
     for slab in found:
-        if abs(tanl) * slab.radius <= max(shell.half_length for shell in slab.shells):
+        if abs(tanl) * slab.radius <= max(shell.ends[1] for shell in slab.shells):
             crossed.append(slab)
         elif slab.ends:
             break

@@ -3,6 +3,7 @@
 import numpy as np
 
 from cgemit import _core
+from cgemit.detector.drift import BESIII
 
 RADIUS = 3335.6409519815204  # mm T/(GeV/c)
 DEGREE = np.pi / 180
@@ -22,7 +23,8 @@ def design_layers(drift_gap=5.0):
         "r_readout": r_readout,
         "r_gap_in": r_readout - 6.162 - drift_gap,
         "r_gap_out": r_readout - 6.162,
-        "half_length": half_length,
+        "z_min": -half_length,
+        "z_max": half_length,
         "pitch_x": np.full(3, 0.65),
         "pitch_v": np.full(3, 0.65),
         "stereo": sign * stereo,
@@ -48,18 +50,23 @@ def wire_layers(sigma=0.13, sigma_slope=0.0, efficiency=1.0):
         "cells": np.array([100, 120], "i4"),
         "gid_first": np.array([484, 584], "i4"),
         "r_end": np.array([200.0, 250.0]),
-        "half_length": np.array([1000.0, 1000.0]),
+        "z_min": np.array([-1000.0, -1000.0]),
+        "z_max": np.array([1000.0, 1000.0]),
         "twist": np.zeros(2),
         "phi_east": np.zeros(2),
         "sigma": np.full(2, sigma),
         "sigma_slope": np.full(2, sigma_slope),
         "efficiency": np.full(2, efficiency),
+        # The relation of BESIII.
+        "point_layer": np.repeat(np.arange(2, dtype="i4"), len(BESIII.time)),
+        "point_distance": np.tile(BESIII.distance, 2),
+        "point_time": np.tile(BESIII.time, 2),
     }
 
 
 def core_detector(cgem=None, wires=None, bz=-1.0):
     """Compiled detector without matter."""
-    reals = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi")
+    reals = ("r_in", "r_out", "radius", "spread", "z_min", "z_max", "x0", "xi")
     slabs = {name: np.empty(0) for name in reals} | {"gap": np.empty(0, "i4"), "filler": np.empty(0, "u1")}
     return _core.detector.Detector(
         bz=bz,

@@ -101,26 +101,28 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
     for matter, thickness, radius in parts:
         x0 = thickness * 0.1 * matter.density / matter.x0
         ends = radius - thickness / 2, radius + thickness / 2
-        rows.append((*ends, radius, thickness / np.sqrt(12), half_length, x0, matter.xi(thickness), -1))
+        rows.append((*ends, radius, thickness / np.sqrt(12), -half_length, half_length, x0, matter.xi(thickness), -1))
         terms.append(-2 * np.log(matter.excitation * 1e-9) - delta(matter, grid))
         elements.append(matter.moles(thickness))
     n_gaps = 0 if gap_radius is None else 1
     if gap_radius is not None:
-        rows.append((gap_radius - 2.5, gap_radius + 2.5, gap_radius, 1.0, half_length, 1e-15, 3e-8, 0))
+        rows.append((gap_radius - 2.5, gap_radius + 2.5, gap_radius, 1.0, -half_length, half_length, 1e-15, 3e-8, 0))
         terms.append(np.full(len(grid), 31.0))
         elements.append([])
-    names = ("r_in", "r_out", "radius", "spread", "half_length", "x0", "xi", "gap")
+    names = ("r_in", "r_out", "radius", "spread", "z_min", "z_max", "x0", "xi", "gap")
     columns = dict(zip(names, np.array(rows).T.copy(), strict=True))
     columns |= {"gap": columns["gap"].astype(np.int32), "filler": np.zeros(len(rows), np.uint8)}
-    layer = {"r_gap_in": -2.5, "r_gap_out": 2.5, "r_readout": 9.0, "half_length": half_length, "pitch_x": 0.65,
-             "pitch_v": 0.65, "stereo": 0.8, "offset_v": 0.0, "dead_seam": 0.0, "dead_ends": 0.0,
+    layer = {"r_gap_in": -2.5, "r_gap_out": 2.5, "r_readout": 9.0, "z_min": -half_length, "z_max": half_length,
+             "pitch_x": 0.65, "pitch_v": 0.65, "stereo": 0.8, "offset_v": 0.0, "dead_seam": 0.0, "dead_ends": 0.0,
              "lorentz_shift": 0.0, "slope": 0.0}  # fmt: skip
     cgem = {k: np.full(n_gaps, v + (gap_radius or 0) * k.startswith("r_")) for k, v in layer.items()}
     cgem |= {k: np.full(n_gaps, v, np.int32) for k, v in (("sheets", 1), ("strips_x", 800), ("strips_v", 900))}
     cgem |= {"has_x": np.ones(n_gaps, np.uint8), "has_v": np.ones(n_gaps, np.uint8)}
     cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, 2))}
-    real = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
-    wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in ("number", "cells", "gid_first")}
+    real = ("r_end", "z_min", "z_max", "twist", "phi_east", "sigma", "sigma_slope", "efficiency",
+            "point_distance", "point_time")  # fmt: skip
+    whole = ("number", "cells", "gid_first", "point_layer")
+    wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in whole}
     core = _core.detector.Detector(
         bz=bz, slabs=columns, log_terms=np.array(terms), composition=composition(elements), layers=cgem, wires=wires,
         screening=getattr(_core.matter.Screening, screening),

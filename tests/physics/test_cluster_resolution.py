@@ -42,12 +42,12 @@ class Sample:
         phi = self.truths["phi"][truth]
         from_centre = r * np.angle(np.exp(1j * (phi - centre)))
         far = np.maximum(np.abs(self.truths["entry_z"][truth]), np.abs(self.truths["exit_z"][truth]))
-        whole = (np.abs(from_centre) < 0.5 * width - 1.0) & (far < self.layers["half_length"][layer])
+        whole = (np.abs(from_centre) < 0.5 * width - 1.0) & (far < self.layers["z_max"][layer])
         if view == 0:
             residual = r * np.angle(np.exp(1j * (rows["phi"] - phi)))
         else:
             stereo = self.layers["stereo"][layer]
-            z_ref = np.copysign(self.layers["half_length"][layer], stereo)
+            z_ref = np.copysign(self.layers["z_max"][layer], stereo)
             x = 0.5 * width + from_centre
             residual = rows["v"] - x * np.cos(stereo) - (z_ref - self.truths["z"][truth]) * np.sin(stereo)
         error = rows["err_x" if view == 0 else "err_v"]

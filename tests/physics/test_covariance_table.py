@@ -66,7 +66,7 @@ def turned_wires(detector: cg.Detector, p: float, cos_theta: float) -> Columns:
     sine = np.sqrt(1 - cos_theta**2)
     radius, tanl = abs(p * sine * RADIUS_PER_KAPPA / detector.field.bz), cos_theta / sine
     z = np.zeros(len(wires["r_end"]))
-    half_twist, half_length = 0.5 * wires["twist"], wires["half_length"]
+    half_twist, half_length = 0.5 * wires["twist"], wires["z_max"]
     for _ in range(20):
         along = z / half_length * np.sin(half_twist)
         r = wires["r_end"] * np.hypot(np.cos(half_twist), along)

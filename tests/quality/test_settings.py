@@ -37,12 +37,7 @@ STRUCTS = [
         {"errors": "sigma_x", "w_values": None, "seed": None},
     ),
     ("ProjectionReadout", "simulation/digitize/projection.hpp", ProjectionReadout, {"w_values": None, "seed": None}),
-    (
-        "WireReadout",
-        "simulation/digitize/wires.hpp",
-        DigitizeSettings,
-        {"xt_distance": None, "xt_time": None, "seed": None},
-    ),
+    ("WireReadout", "simulation/digitize/wires.hpp", DigitizeSettings, {"seed": None}),
 ]
 
 

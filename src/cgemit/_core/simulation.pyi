@@ -91,8 +91,6 @@ def read_out_wires(
     detector: Detector,
     wire_truths: _Columns,
     *,
-    xt_distance: npt.ArrayLike,
-    xt_time: npt.ArrayLike,
     reveal_sides: bool,
     seed: int,
 ) -> dict[str, _Array]: ...

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from cgemit.base.arrays import Floats
 from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector
-from cgemit.detector.drift import BESIII, propagation_time
+from cgemit.detector.drift import propagation_time, relations_of
 from cgemit.reconstruction.candidates import label_candidates
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.given_hits import hit_tables
@@ -48,7 +48,7 @@ class DriftCalibration:
         in it have `ZERO_TIME`.
     relation : dict of (int, int) to (ndarray, ndarray)
         By layer and side (+1, -1): drift times, ns, ascending, and the distances of them, mm, both (n,) float64. Others
-        have the relation of the outer chamber, `cgemit.detector.drift.BESIII`.
+        have the relation of their layer in the detector.
     """
 
     zero_time: Mapping[int, float] = field(default_factory=dict)
@@ -58,9 +58,9 @@ class DriftCalibration:
         """Return the zero times of layers, (n,) float64, ns."""
         return np.array([self.zero_time.get(one, ZERO_TIME) for one in layer.tolist()], np.float64)
 
-    def distance(self, layer: Ints, time: Floats) -> Floats:
+    def distance(self, detector: Detector, layer: Ints, time: Floats) -> Floats:
         """Return drift distances, (n,) float64, mm: means of both sides, which a hit does not know."""
-        found = BESIII.distance_at(np.maximum(time, 0.0))
+        found = np.maximum(relations_of(detector).distance_at(layer, time), 0.0)
         for one in np.unique(layer).tolist():
             mine = layer == one
             sides = [self.relation[one, side] for side in (1, -1) if (one, side) in self.relation]
@@ -158,7 +158,7 @@ def all_wire_hits(
     time = of["tdc"] - np.broadcast_to(start, n)[of["event"]] - calibration.zero(of["layer"])
     good = (time >= WINDOW[0]) & (time <= WINDOW[1]) & ~np.isin(_gid(events.detector, of), without)
     picked = {name: column[good] for name, column in of.items()}
-    picked |= {"drift_time": time[good], "drift": calibration.distance(picked["layer"], time[good])}
+    picked |= {"drift_time": time[good], "drift": calibration.distance(events.detector, picked["layer"], time[good])}
     return hit_tables(events.detector, None, picked, [], labelled=False, events=np.arange(n))[1]
 
 

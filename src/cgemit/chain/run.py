@@ -48,7 +48,7 @@ from cgemit.chain.settings import (
     tables_made,
 )
 from cgemit.detector import Detector, load
-from cgemit.detector.drift import check_wire_times
+from cgemit.detector.drift import check_wire_times, read_by
 from cgemit.detector.reader import readout_of
 from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Guns, Source, generate, source_of
@@ -155,7 +155,8 @@ def run(
         Of all CGEM layers, instead of those of `detector` and `fit_detector`. A readout that starts from ionization
         clusters makes them rows of ``steps``.
     fit_detector : Detector or None
-        Detector that the reconstruction assumes: clusters, finder and fit. None: the simulated one.
+        Detector that the reconstruction assumes: clusters, drift distances and their errors, finder and fit. None: the
+        simulated one.
     finder : str or callable
         ``"truth"`` gives each charged particle its own hits. ``"ckf"`` finds tracks from the hits alone, with
         ``settings.find``. A function of (detector, clusters, wire_hits) returns a
@@ -256,6 +257,8 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     particles, truths, wire_truths = made["particles"], made["truths"], made["wire_truths"]
     made = digitize.unchecked(job.detector, truths, wire_truths, settings.digitize, job.seed, steps=made["steps"])
     made = add_background.unchecked(job.detector, **made, settings=settings.background, seed=job.seed)
+    if job.fit_detector is not job.detector:
+        made["wire_hits"] = read_by(job.fit_detector, job.detector, made["wire_hits"])
     yield "digitize", made
     digis, wire_hits = made["digis"], made["wire_hits"]
     clusters = cluster.unchecked(job.fit_detector, digis, settings.cluster)

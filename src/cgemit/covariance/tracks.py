@@ -139,13 +139,13 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
     return found
 
 
-#: Of the half length: scatters move tracks by less than a fifth of it.
+#: Of the distance to an end: scatters move tracks by less than a fifth of it.
 _NEAR = 0.8
 
 
 @once
-def _wire_layers(chamber: DriftChamber) -> list[tuple[float, float]]:
-    return [(layer.r_mid, layer.half_length) for layer in chamber.layers]
+def _wire_layers(chamber: DriftChamber) -> list[tuple[float, float, float]]:
+    return [(layer.r_mid, *layer.ends) for layer in chamber.layers]
 
 
 def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np.bool_]:
@@ -156,19 +156,20 @@ def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np
     detector : Detector
     kappa, tanl : ndarray, (tracks,) float64, (GeV/c)^-1 and 1
     """
-    layers = [(layer.r_mid, layer.half_length) for layer in detector.layers]
+    layers = [(layer.r_mid, *layer.ends) for layer in detector.layers]
     layers += _wire_layers(detector.drift_chamber) if detector.drift_chamber is not None else []
     found = np.zeros(len(kappa), bool)
     if not layers:
         return found
-    radius, half_length = np.array(layers).T
+    radius, low, high = np.array(layers).T
     steep = np.abs(tanl)
     # The arc to a cylinder is at most half a turn about its radius.
-    maybe = np.flatnonzero(0.5 * np.pi * steep > _NEAR * np.min(half_length / radius))
+    maybe = np.flatnonzero(0.5 * np.pi * steep > _NEAR * np.min(np.minimum(-low, high) / radius))
     if not len(maybe):
         return found
     _, arc = path_to(radius, kappa[maybe, None], detector.field.bz)
-    found[maybe] = np.any(steep[maybe, None] * arc > _NEAR * half_length, axis=1)
+    end = np.where(tanl[maybe, None] < 0, -low, high)
+    found[maybe] = np.any(steep[maybe, None] * arc > _NEAR * end, axis=1)
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from cgemit.base.errors import shown
 from cgemit.detector.keys import CELLS, UNUSABLE, Key, Known, keys_of
 from cgemit.detector.layers.wires import DriftChamber, Superlayer, WireLayer
-from cgemit.detector.reader import FOR_ALL_LAYERS, GENERATED, LAST_WIRE_LAYER, WIRE_NUMBER, Reader
+from cgemit.detector.reader import FOR_ALL_LAYERS, GENERATED, LAST_WIRE_LAYER, OF_LISTS, WIRE_NUMBER, Reader, unusable
 from cgemit.units import NATIVE
 
 # More than any detector has: a mistake, or meant to exhaust the memory.
@@ -30,7 +30,7 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
     groups = reader.mapping("drift_chamber.superlayers", tables.pop("superlayers", {}))
     generated = tables.pop(GENERATED, False)
     # Values for all layers are read once, so that a mistake in one is reported once.
-    for_all = (*FOR_ALL_LAYERS, "half_length") if "superlayers" in raw else FOR_ALL_LAYERS
+    for_all = (*FOR_ALL_LAYERS, "half_length", "z_min", "z_max") if "superlayers" in raw else FOR_ALL_LAYERS
     keys = {name: keys_of(WireLayer)[name] for name in for_all}
     common = {
         name: reader.value(f"drift_chamber.{name}", tables.pop(name), key)
@@ -38,9 +38,10 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
         if name in tables
     }
     _settle_errors(reader, "drift_chamber", raw, common)
+    if "superlayers" in raw:
+        reader.settle_ends("drift_chamber", raw, common, *WireLayer.short_form)
+    _one_of(reader, "drift_chamber", raw, common, *_RELATION)
     values = reader.table("drift_chamber", tables, DriftChamber, elsewhere=(*keys, "layers", "superlayers"))
-    if values.get("drift_relation") and values.get("drift_velocity"):
-        reader.note("drift_chamber.drift_velocity", "also drift_relation", "one of both")
     superlayers = _superlayers(reader, groups, common)
     if groups and not generated:
         rows = _laid_over(_wire_rows(reader, superlayers), rows)
@@ -54,7 +55,8 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
         elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
             path = f"drift_chamber.layers.{number}"
             found = reader.table(path, row, WireLayer, defaults=_defaults(row, common), siblings=rows)
-            _one_matter(reader, path, row, found)
+            _one_of(reader, path, row, found, *_MATTER)
+            _one_of(reader, path, row, found, *_RELATION)
             _settle_errors(reader, path, row, found)
             layers.append(WireLayer(number=int(number), **found))
         else:
@@ -91,17 +93,20 @@ def _settle_errors(reader: Reader, path: str, raw: object, values: dict[str, Any
     values |= {"sigma": points[0].sigma, "sigma_slope": 0.0}
 
 
-def _one_matter(reader: Reader, path: str, raw: object, values: dict[str, Any]) -> None:
-    """Note a table that states the matter of its wires twice; keep what it states of what holds for all layers."""
-    names = ("cell_wires", "wire_x0")
+#: Pairs of keys of wires that state the same: their matter, and the relation of drift distance and time.
+_MATTER, _RELATION = ("cell_wires", "wire_x0"), ("drift_relation", "drift_velocity")
+
+
+def _one_of(reader: Reader, path: str, raw: object, values: dict[str, Any], *names: str) -> None:
+    """Note a table that states both of two keys; keep what it states of what holds for all layers."""
     if not all(values.get(name) for name in names) or not isinstance(raw, Mapping):
         return
     stated = [name for name in names if name in raw and not isinstance(raw[name], Known)]
     if len(stated) > 1:
-        reader.note(f"{path}.wire_x0", "also cell_wires", "one of both")
+        reader.note(f"{path}.{names[1]}", f"also {names[0]}", "one of both")
     else:
         kept = stated or [name for name in names if name in raw] or names
-        values.pop(names[kept[0] == "cell_wires"])
+        values.pop(names[kept[0] == names[0]])
 
 
 def _laid_over(generated: dict[str, Any], rows: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,13 +126,14 @@ def _superlayers(reader: Reader, tables: Mapping[str, Any], common: Mapping[str,
             continue
         path = f"drift_chamber.superlayers.{label}"
         values = reader.table(path, table, Superlayer, defaults=_defaults(table, common), siblings=tables)
-        _one_matter(reader, path, table, values)
+        _one_of(reader, path, table, values, *_MATTER)
+        _one_of(reader, path, table, values, *_RELATION)
         _settle_errors(reader, path, table, values)
         for name, key in keys_of(Superlayer).items():  # relative values have not been checked
             value = values.get(name)
             limits = CELLS[int if isinstance(value, int) else float] if key.kind == "cells" else key
             if not all(_fits(reader, f"{path}.{name}", one, limits) for one in _numbers(value)):
-                values[name] = (UNUSABLE,) if key.kind == "angles" else UNUSABLE
+                values[name] = (UNUSABLE,) if key.kind in OF_LISTS else UNUSABLE
         if values.get("stereo") and values.get("twist"):
             reader.note(f"{path}.twist", "both stereo and twist", "one of them: each follows from the other")
         found.append(Superlayer(label=str(label), **values))
@@ -143,7 +149,7 @@ def _fits(reader: Reader, path: str, value: float, key: Key, of: str = "") -> bo
     """Return whether a number is in the range of its key, and note the problem; unusable ones have theirs already."""
     if math.isnan(value) or key.admits(value):
         return True
-    unit = NATIVE.get("angle" if key.kind == "angles" else key.kind, "")
+    unit = NATIVE.get(OF_LISTS.get(key.kind, key.kind), "")
     reader.note(path, f"{value:.6g} {unit}".rstrip() + of, key.expected())
     return False
 
@@ -178,13 +184,14 @@ def _wire_rows(reader: Reader, superlayers: Sequence[Superlayer]) -> dict[str, A
     return {str(number): {name: Known(value) for name, value in row.items()} for number, row in enumerate(rows)}
 
 
-_UNUSABLE_ROW = dict.fromkeys(keys_of(WireLayer), UNUSABLE)
+_UNUSABLE_ROW = {name: unusable(key) for name, key in keys_of(WireLayer).items()}
 
 
 def _wire_row(one: Superlayer, i: int, border: float, *, shifted: bool) -> tuple[dict[str, Any], float]:
     """Return the wires of layer `i` of a superlayer and the outer border of its cells, which begin at a border.
 
-    Radii are those at z = 0. There, the cells of a count are as high as wide, h = 2 pi r/n with r = border + h/2.
+    Radii are those in the middle of the wires. There, the cells of a count are as high as wide, h = 2 pi r/n with
+    r = border + h/2.
     """
     width = one.cells if isinstance(one.cells, float) else None
     share = math.pi / one.cells  # half a cell in rad, of a count
@@ -200,6 +207,8 @@ def _wire_row(one: Superlayer, i: int, border: float, *, shifted: bool) -> tuple
         "cells": cells,
         "r_end": r_mid / math.cos(0.5 * twist),
         "half_length": one.half_length,
+        "z_min": one.z_min,
+        "z_max": one.z_max,
         "twist_cells": twist * cells / (2 * math.pi),
         "phi_east": 0.5 * twist + (math.pi / cells if shifted and cells else 0.0),
     }

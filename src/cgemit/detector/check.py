@@ -105,11 +105,11 @@ def geometry_problems(
         for part in cylinders:
             wrong = _cylinder_problem(f"{group}.{part.label}", part)
             problems += wrong
-            spans += [] if wrong else [Span(part.r_in, part.r_out, part.half_length, f"{group}.{part.label}")]
+            spans += [] if wrong else [Span(part.r_in, part.r_out, part.ends, f"{group}.{part.label}")]
     for layer in barrels:
         problems += layer.problems() + _readout_problems(layer)
         if not layer.r_in <= 0:
-            spans.append(Span(layer.r_in, layer.r_out, layer.half_length, layer.path))
+            spans.append(Span(layer.r_in, layer.r_out, layer.ends, layer.path))
     problems += _same_labels(barrels) + _overlaps(spans)
     if chamber and all(layer.cells and layer.half_length for layer in chamber.layers):
         problems += chamber.problems()
@@ -159,18 +159,18 @@ def unreachable(detector: Contents) -> list[str]:
     found: dict[str, list[str]] = {}
     layers: list[Layer | WireLayer] = [*detector.layers, *detector.wires]
     for layer in layers:
-        inside = layer.half_length_within(radius)
-        if text := _unreached(layer.half_length, max(first, -inside), min(last, inside)):
+        low, high = layer.ends_within(radius)
+        if text := _unreached(layer.ends, max(first, low), min(last, high)):
             found.setdefault(text, []).append(layer.path)
     whole = len(layers)
     return [f"{', '.join(_shortened(paths))} ({len(paths)} of {whole} layers): {text}" for text, paths in found.items()]
 
 
-def _unreached(half_length: float, first: float, last: float) -> str:
+def _unreached(ends: tuple[float, float], first: float, last: float) -> str:
     """Return what is left of a layer outside of the z from first to last; empty if nothing is."""
     if first > last:
         return "no track from the origin reaches it: the field ends before"
-    below, above = first > -half_length, last < half_length
+    below, above = first > ends[0], last < ends[1]
     if not (below or above):
         return ""
     places = [f"z below {first:g} mm"] * below + [f"z above {last:g} mm"] * above
@@ -186,7 +186,7 @@ class Span(NamedTuple):
 
     r_in: float
     r_out: float
-    half_length: float
+    ends: tuple[float, float]
     path: str
 
     def __str__(self) -> str:
@@ -197,9 +197,9 @@ def _wires_inside(span: Span, layers: Sequence[WireLayer]) -> list[Problem]:
     """Return one problem for the wires that cross a part, which follow hyperboloids."""
     crossing = []
     for layer in layers:
-        reach = layer.radius_at(min(span.half_length, layer.half_length))
-        if layer.r_mid < span.r_out - TOUCH and reach > span.r_in + TOUCH:
-            crossing.append(Span(layer.r_mid, reach, layer.half_length, layer.path))
+        least, most = layer.radii_between(*span.ends)
+        if least < span.r_out - TOUCH and most > span.r_in + TOUCH:
+            crossing.append(Span(least, most, layer.ends, layer.path))
     return [_overlap(span, crossing)] if crossing else []
 
 
@@ -207,7 +207,7 @@ def _overlaps(spans: Sequence[Span]) -> list[Problem]:
     """Return the parts that begin inside another one; all reach z = 0."""
     covered: dict[Span, list[Span]] = {}
     known = [span for span in spans if not math.isnan(span.r_in + span.r_out)]  # others could not be read
-    before = Span(0.0, 0.0, 0.0, "")
+    before = Span(0.0, 0.0, (0.0, 0.0), "")
     for span in sorted(known):
         if span.r_in < before.r_out - TOUCH:
             covered.setdefault(before, []).append(span)

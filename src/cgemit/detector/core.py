@@ -15,6 +15,7 @@ from cgemit import _core
 from cgemit.base import isa
 from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector, preset
+from cgemit.detector.drift import relation_of
 from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, SolenoidField
 from cgemit.detector.gas import gap_columns, gap_table
 from cgemit.detector.keys import once
@@ -29,20 +30,40 @@ from cgemit.detector.shells import ENDLESS, NUMBERS, Shell, Slab
 Ints = npt.NDArray[np.int32]
 
 
-class StripLists(NamedTuple):
-    """Running numbers of strips, each (n,) int32, growing."""
+class ChannelLists(NamedTuple):
+    """Running numbers of strips or wires, each (n,) int32, growing."""
 
     dead: Ints
     hot: Ints
 
     @property
     def masked(self) -> Ints:
-        """Strips of which clusters are not made, (n,) int32."""
+        """Strips of which clusters are not made, or wires whose hits no track takes, (n,) int32."""
         return np.union1d(self.dead, self.hot).astype(np.int32)
 
 
+@once
+def wire_lists(chamber: DriftChamber) -> ChannelLists:
+    """Return the dead and the hot wires of a chamber; a wire in both lists is dead.
+
+    Parameters
+    ----------
+    chamber : DriftChamber
+    """
+    found: dict[str, list[Ints]] = {"dead": [], "hot": []}
+    for layer, gid in zip(chamber.layers, chamber.gid_first, strict=True):
+        for kind, parts in found.items():
+            parts += [gid + np.arange(low, high + 1, dtype=np.int32) for low, high in getattr(layer, kind)]
+    return _lists(found)
+
+
+def _lists(found: dict[str, list[Ints]]) -> ChannelLists:
+    dead, hot = (np.unique(np.concatenate([*parts, np.empty(0, np.int32)])) for parts in found.values())
+    return ChannelLists(dead.astype(np.int32), np.setdiff1d(hot, dead).astype(np.int32))
+
+
 @lru_cache(maxsize=64)
-def strip_lists(detector: Detector) -> StripLists:
+def strip_lists(detector: Detector) -> ChannelLists:
     """Return the dead and the hot strips of a detector; a strip in both lists is dead, as is an X strip in a dead seam.
 
     Parameters
@@ -60,8 +81,7 @@ def strip_lists(detector: Detector) -> StripLists:
                 for sheet, low, high in getattr(layer, f"{kind}_{view}"):
                     parts.append(np.arange(low, high + 1, dtype=np.int32) + first + sheet * per_sheet + offset)
         first += layer.sheets * per_sheet
-    dead, hot = (np.unique(np.concatenate([*parts, np.empty(0, np.int32)])) for parts in found.values())
-    return StripLists(dead.astype(np.int32), np.setdiff1d(hot, dead).astype(np.int32))
+    return _lists(found)
 
 
 def seam_strips(layer: Layer) -> Ints:
@@ -84,7 +104,9 @@ def in_dead_area(layer: Layer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
     beside = np.minimum(x, layer.strips_x * layer.pitch_x - x)
     # Nothing is dead by default, not even at the edge: strips end there by themselves.
     at_seam = (beside < 0.5 * layer.dead_seam) & (layer.dead_seam > 0)
-    return np.asarray(at_seam | ((np.abs(z) > layer.half_length - layer.dead_ends) & (layer.dead_ends > 0)))
+    low, high = layer.ends
+    at_end = (z < low + layer.dead_ends) | (z > high - layer.dead_ends)
+    return np.asarray(at_seam | (at_end & (layer.dead_ends > 0)))
 
 
 @lru_cache(maxsize=64)
@@ -292,7 +314,7 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     Returns
     -------
     slabs : dict of ndarray
-        r_in, r_out, radius, spread, half_length (n,) float64 mm; x0 (n,) float64; xi (n,) float64 GeV;
+        r_in, r_out, radius, spread, z_min, z_max (n,) float64 mm; x0 (n,) float64; xi (n,) float64 GeV;
         gap (n,) int32; ends (n,) uint8.
     log_terms : (n, LOSS_POINTS) float64
         -2 ln(I/GeV) - delta - 2 C/Z against ln(beta gamma) on the core's grid.
@@ -434,9 +456,10 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 def layer_table(layers: Sequence[Layer]) -> Columns:
     """Return the readout of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
-    names = ("r_readout", "r_gap_in", "r_gap_out", "half_length", "stereo", "offset_v", "dead_seam", "dead_ends")
+    names = ("r_readout", "r_gap_in", "r_gap_out", "stereo", "offset_v", "dead_seam", "dead_ends")
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
+    columns |= _end_columns([layer.ends for layer in layers])
     pitch = np.array([layer.pitches for layer in layers], dtype=np.float64).reshape(-1, 2).T
     columns |= {"pitch_x": pitch[0].copy(), "pitch_v": pitch[1].copy()}
     for view in "XV":
@@ -456,11 +479,22 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     return columns
 
 
+def _end_columns(ends: Sequence[tuple[float, float]]) -> Columns:
+    low, high = np.array(ends, dtype=np.float64).reshape(-1, 2).T
+    return {"z_min": low.copy(), "z_max": high.copy()}
+
+
 def wire_table(chamber: DriftChamber | None) -> Columns:
     """Return the wire layers of a chamber as columns (n,): mm, rad; placement is (1, 12)."""
     if not chamber:
         return _wire_columns((), (), IN_PLACE)
-    return _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
+    columns = _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
+    masked = wire_lists(chamber).masked
+    if len(masked):
+        rows = np.searchsorted(columns["gid_first"], masked, side="right") - 1
+        columns["masked_layer"] = rows.astype(np.int32)
+        columns["masked_wire"] = masked - columns["gid_first"][rows]
+    return columns
 
 
 @once
@@ -469,13 +503,29 @@ def _placed(chamber: DriftChamber) -> _core.detector.Chamber:
 
 
 def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placement: NDArray[np.float64]) -> Columns:
-    names = ("r_end", "half_length", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
+    names = ("r_end", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
+    columns |= _end_columns([layer.ends for layer in layers])
     for name in ("number", "cells"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     columns["gid_first"] = np.array(gid_first, dtype=np.int32)
     columns["placement"] = placement.reshape(1, 12)
-    return columns | _error_columns(layers, columns)
+    if any(layer.is_displaced for layer in layers):
+        placements = [layer.placement if layer.is_moved else IN_PLACE for layer in layers]
+        columns["layer_placement"] = np.array(placements, dtype=np.float64)
+        columns["end_shift"] = np.array([layer.end_shift for layer in layers], dtype=np.float64)
+    return columns | _error_columns(layers, columns) | _relation_columns(layers)
+
+
+def _relation_columns(layers: Sequence[WireLayer]) -> Columns:
+    """Return the points of the relations of drift distance and time, layer by layer."""
+    relations = [relation_of(layer) for layer in layers]
+    rows = [np.full(len(one.distance), i, np.int32) for i, one in enumerate(relations)]
+    return {
+        "point_layer": np.concatenate([*rows, np.empty(0, np.int32)]),
+        "point_distance": np.concatenate([*(one.distance for one in relations), np.empty(0)]),
+        "point_time": np.concatenate([*(one.time for one in relations), np.empty(0)]),
+    }
 
 
 def _error_columns(layers: Sequence[WireLayer], columns: Columns) -> Columns:

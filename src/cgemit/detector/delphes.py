@@ -37,7 +37,7 @@ class Row:
     """A barrel layer of a card: mm, rad; resolutions are 0 for coordinates that are not measured."""
 
     label: str
-    half_length: float
+    ends: tuple[float, float]
     radius: float
     thickness: float
     x0: float
@@ -213,15 +213,14 @@ def _tables(text: str, source: str, name: str, folder: Path, *, field: bool = Tr
         where = "in the module TrackCovariance" if card.modules else "beside the geometry"
         expected = f"a line such as: set B{'z' if card.modules else ''} 2.0, {where}, or a detector file with the card"
         problems.append(Problem("B", given, f"{expected} as base and a table [field]{unread}"))
-    rows, disks, cut = _rows(card, geometry, scope, problems)
+    rows, disks = _rows(card, geometry, scope, problems)
     rows, moved = _apart(rows, problems)
     if problems:
         raise DetectorError(source, problems)
     left = f"; left out: {len(disks)} disks ({', '.join(dict.fromkeys(disks))})" if disks else ""
-    shorter = f"; cut at the nearer end in z: {', '.join(dict.fromkeys(cut))}" if cut else ""
-    shorter += f"; put behind a layer at the same radius: {', '.join(moved)}" if moved else ""
+    put = f"; put behind a layer at the same radius: {', '.join(moved)}" if moved else ""
     tables: dict[str, Any] = {
-        "name": name, "description": f"barrel of a Delphes card{left}{shorter}{unread}",
+        "name": name, "description": f"barrel of a Delphes card{left}{put}{unread}",
         "field": {} if bz_number is None else {"kind": "uniform", "bz": f"{bz_number!r} T"},
         "beam_pipe": {}, "walls": {}, "layer": {}, "materials": {"Air": _VACUUM},
     }  # fmt: skip
@@ -248,12 +247,10 @@ def _number(text: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _rows(
-    card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem]
-) -> tuple[list[Row], list[str], list[str]]:
-    """Return the barrel layers by radius, and the labels of the disks and of layers with unequal ends."""
+def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem]) -> tuple[list[Row], list[str]]:
+    """Return the barrel layers by radius, and the labels of the disks."""
     rows: list[Row] = []
-    disks, cut = [], []
+    disks = []
     for number, line in enumerate(geometry.text.splitlines(), start=geometry.line):
         words = card.value(line.split("#")[0].rstrip("; \t"), scope).split()
         if not words:
@@ -275,23 +272,21 @@ def _rows(
             disks.append(label)
             continue
         low, high, radius, thickness, x0, measured, up, down, sigma_up, sigma_down, efficiency = numbers
-        half = min(-low, high) * _M
-        if half <= 0 or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
+        ends = low * _M, high * _M
+        if low >= 0 or high <= 0 or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
             expected = "z on both sides, a radius, thickness and radiation length above 0, an efficiency from 0 to 1"
             problems.append(Problem(place, given, expected))
             continue
-        if half < min(max(-low, high) * _M, 0.5 * _LONGEST) * (1 - 1e-9):
-            cut.append(label)
         on = [efficiency > 0 and measured >= count for count in (1, 2)]
         sigma = tuple(_M * value if use else 0.0 for value, use in zip((sigma_up, sigma_down), on, strict=True))
-        half = min(half, 0.5 * _LONGEST)
+        ends = max(ends[0], -0.5 * _LONGEST), min(ends[1], 0.5 * _LONGEST)
         rows.append(
             Row(
-                label, half, _M * radius, _M * thickness, _M * x0, (up, down), (sigma[0], sigma[1]),
+                label, ends, _M * radius, _M * thickness, _M * x0, (up, down), (sigma[0], sigma[1]),
                 efficiency=efficiency if any(on) else 1.0,
             )
         )  # fmt: skip
-    return sorted(rows, key=lambda row: row.radius), disks, cut
+    return sorted(rows, key=lambda row: row.radius), disks
 
 
 def _apart(rows: Sequence[Row], problems: list[Problem]) -> tuple[list[Row], list[str]]:
@@ -335,15 +330,23 @@ def _add(rows: Sequence[Row], tables: dict[str, Any]) -> None:
         material = _material(row.x0, thickness / row.thickness, tables["materials"])
         measured = measured or bool(row.views)
         if not row.views:
-            part = {"r_in": f"{r_in!r} mm", "r_out": f"{r_out!r} mm", "half_length": f"{row.half_length!r} mm"}
+            part = {"r_in": f"{r_in!r} mm", "r_out": f"{r_out!r} mm", **_ends(row, "half_length", 0.5)}
             tables["walls" if measured else "beam_pipe"][label] = part | {"material": material}
             continue
-        shared: dict[str, Any] = {"length": f"{2 * row.half_length!r} mm", "material": material}
+        shared: dict[str, Any] = {**_ends(row, "length", 1.0), "material": material}
         shared |= {"efficiency": row.efficiency} if row.efficiency < 1 else {}
         tables["layer"] |= {
             f"{label}{name}": shared | {"radius": f"{r!r} mm", "thickness": f"{width!r} mm"} | keys
             for name, r, width, keys in _layers(row, r_in, r_out)
         }
+
+
+def _ends(row: Row, short_form: str, share: float) -> dict[str, str]:
+    """Return the keys of the ends of a part: the short form of equal ones."""
+    low, high = row.ends
+    if low == -high:
+        return {short_form: f"{share * (high - low)!r} mm"}
+    return {"z_min": f"{low!r} mm", "z_max": f"{high!r} mm"}
 
 
 def _layers(row: Row, r_in: float, r_out: float) -> Iterator[tuple[str, float, float, dict[str, str]]]:
@@ -424,7 +427,7 @@ def _written(detector: Contents) -> Iterator[Row]:
     """Yield every barrel layer of a card."""
     for group, cylinders in (("pipe", detector.beam_pipe), ("wall", detector.walls)):
         for part in cylinders:
-            shell = Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material)
+            shell = Shell(group, part.label, part.r_in, part.r_out, part.ends, part.material)
             yield _row((shell,), part.label)
     for layer in detector.barrels:
         x, v = layer.card_errors
@@ -482,12 +485,12 @@ def _row(shells: Sequence[Shell], label: str, views: Sequence[tuple[float, float
     x0 = thickness / sum(shell.x0 for shell in shells)
     (one, first), (other, second) = (*views, *[(0.0, 0.0)] * (2 - len(views)))
     radius, name = 0.5 * (shells[0].r_in + shells[-1].r_out), re.sub(r"\s+", "-", label)
-    return Row(name, shells[0].half_length, radius, thickness, x0, (one, other), (first, second), gas)
+    return Row(name, shells[0].ends, radius, thickness, x0, (one, other), (first, second), gas)
 
 
 def _line(row: Row) -> str:
-    half, count = row.half_length, len(row.views)
-    lengths = (value / _M for value in (-half, half, row.radius, row.thickness, row.x0))
+    count = len(row.views)
+    lengths = (value / _M for value in (*row.ends, row.radius, row.thickness, row.x0))
     numbers = [*(f"{value:.9g}" for value in lengths), str(count)]
     numbers += [f"{value:.9g}" for value in (*row.stereo, *(sigma / _M for sigma in row.sigma))]
     return "  " + " ".join(["1", row.label, *numbers, f"{row.efficiency:.9g}" if count else "0"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,8 +13,9 @@ import numpy.typing as npt
 from cgemit.base.arrays import Floats
 from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
-from cgemit.detector.layers.wires import DriftChamber
+from cgemit.detector.layers.wires import WireLayer
 from cgemit.detector.parts import Contents
+from cgemit.tables import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class DriftRelation:
     Examples
     --------
     >>> from cgemit.detector.drift import relation_of
-    >>> relation = relation_of(cg.load("besiii-cgem"))
+    >>> relation = relation_of(cg.load("besiii-cgem").drift_chamber.layers[0])
     >>> print(relation.distance_at([25.0, 50.0]))  # mm
     [1.2 2. ]
     """
@@ -87,25 +89,149 @@ BESIII = DriftRelation(
 )
 
 
-def relation_of(detector: Contents) -> DriftRelation:
-    """Return the relation of drift distance and time of a detector's chamber.
+@once
+def relation_of(layer: WireLayer) -> DriftRelation:
+    """Return the relation of drift distance and time of a wire layer.
+
+    Parameters
+    ----------
+    layer : WireLayer
+        With a table `drift_relation`, a constant `drift_velocity`, or neither: then the relation of BESIII; `t0` is
+        added to its times.
+    """
+    points = layer.drift_relation
+    if layer.drift_velocity:
+        found = DriftRelation(np.array([0.0, layer.drift_velocity]), np.array([0.0, 1.0]))
+    elif points:
+        found = DriftRelation(np.array([one.distance for one in points]), np.array([one.time for one in points]))
+    else:
+        found = BESIII
+    return DriftRelation(found.distance, found.time + layer.t0) if layer.t0 else found
+
+
+class DriftRelations:
+    """Relations of drift distance and time of the wire layers of a detector, which the experiment numbers.
+
+    Parameters
+    ----------
+    layers : sequence of WireLayer
+
+    Examples
+    --------
+    >>> from cgemit.detector.drift import relations_of
+    >>> slower = cg.load("besiii-cgem").with_overrides({"drift_chamber.layers.9.drift_velocity": "20 um/ns"})
+    >>> print(relations_of(slower).distance_at([8, 9, 10], [50.0, 50.0, 50.0]))  # mm
+    [2. 1. 2.]
+    """
+
+    def __init__(self, layers: Sequence[WireLayer]) -> None:
+        distinct: dict[tuple[bytes, bytes], DriftRelation] = {}
+        keys = []
+        for layer in layers:
+            relation = relation_of(layer)
+            keys.append((relation.distance.tobytes(), relation.time.tobytes()))
+            distinct.setdefault(keys[-1], relation)
+        self._distinct = list(distinct.values()) or [BESIII]
+        places = {key: place for place, key in enumerate(distinct)}
+        self._place = np.full(max((layer.number for layer in layers), default=0) + 1, -1)
+        for layer, key in zip(layers, keys, strict=True):
+            self._place[layer.number] = places[key]
+
+    def distance_at(self, layer: npt.ArrayLike, time: npt.ArrayLike) -> Floats:
+        """Return the drift distances of times, (n,) float64, mm, as `DriftRelation.distance_at`.
+
+        Parameters
+        ----------
+        layer : array_like, (n,) int
+        time : array_like, (n,) float64, ns
+        """
+        return self._each(DriftRelation.distance_at, layer, time)
+
+    def velocity_at(self, layer: npt.ArrayLike, distance: npt.ArrayLike) -> Floats:
+        """Return the drift velocities at distances from the wires, (n,) float64, mm/ns.
+
+        Parameters
+        ----------
+        layer : array_like, (n,) int
+        distance : array_like, (n,) float64, mm
+        """
+        return self._each(DriftRelation.velocity_at, layer, distance)
+
+    def shifted(self, wire_hits: Mapping[str, npt.NDArray[Any]] | Table, shift: npt.ArrayLike) -> Floats:
+        """Return the drift distances of wire hits after a shift of their drift times, (n,) float64, mm.
+
+        Parameters
+        ----------
+        wire_hits : Table
+            With `layer`, `drift` and `drift_time`.
+        shift : float or ndarray, (n,) float64, ns
+            Added to the times.
+        """
+        drift, time = wire_hits["drift"], wire_hits["drift_time"]
+        return self._each(DriftRelation.shifted, wire_hits["layer"], drift, time, shift)
+
+    def _each(self, value: Callable[..., Floats], layer: npt.ArrayLike, *columns: npt.ArrayLike) -> Floats:
+        """Return a function of a relation and columns, for the relation of each row."""
+        if len(self._distinct) == 1:
+            return value(self._distinct[0], *columns)
+        layer = np.asarray(layer, np.int64)
+        known = (layer >= 0) & (layer < len(self._place))
+        place = np.where(known, self._place[np.where(known, layer, 0)], -1)
+        if len(wrong := layer[place < 0]):
+            raise ValueError(f"wire_hits: the detector has no wire layer {wrong[0]}")
+        rows = [np.broadcast_to(np.asarray(column, np.float64), layer.shape) for column in columns]
+        found = np.empty(layer.shape)
+        for number, relation in enumerate(self._distinct):
+            mine = place == number
+            found[mine] = value(relation, *(row[mine] for row in rows))
+        return found
+
+
+@once
+def relations_of(detector: Contents) -> DriftRelations:
+    """Return the relations of drift distance and time of a detector's wire layers.
 
     Parameters
     ----------
     detector : Detector
-        Its chamber has a table `drift_relation`, a constant `drift_velocity`, or neither: then the relation of BESIII.
+        One without a chamber has the relation of BESIII for every layer.
     """
-    return _relation(detector.drift_chamber) if detector.drift_chamber else BESIII
+    return DriftRelations(detector.drift_chamber.layers if detector.drift_chamber else ())
 
 
-@once
-def _relation(chamber: DriftChamber) -> DriftRelation:
-    if chamber.drift_velocity:
-        return DriftRelation(np.array([0.0, chamber.drift_velocity]), np.array([0.0, 1.0]))
-    points = chamber.drift_relation
-    if not points:
-        return BESIII
-    return DriftRelation(np.array([one.distance for one in points]), np.array([one.time for one in points]))
+def read_by(detector: Contents, simulated: Contents, wire_hits: Table) -> Table:
+    """Return wire hits with the drift distances and errors that a detector makes of the times of another one's hits.
+
+    Parameters
+    ----------
+    detector : Detector
+        That the reconstruction assumes.
+    simulated : Detector
+        Of the hits. Layers with the same relation and error keep their values.
+    wire_hits : Table
+    """
+    chambers = [one.drift_chamber for one in (detector, simulated)]
+    mine, theirs = ({layer.number: layer for layer in one.layers} if one else {} for one in chambers)
+    drift, sigma = wire_hits["drift"].copy(), wire_hits["sigma"].copy()
+    for number in mine.keys() & theirs.keys():
+        new, old = mine[number], theirs[number]
+        if new is old or (_relation_key(new) == _relation_key(old) and _error_key(new) == _error_key(old)):
+            continue
+        rows = wire_hits["layer"] == number
+        if _relation_key(new) != _relation_key(old):
+            time = wire_hits["drift_time"][rows]
+            drift[rows] += relation_of(new).distance_at(time) - relation_of(old).distance_at(time)
+        sigma[rows] = new.error_at(np.maximum(drift[rows], 0.0))
+    changed = not (np.array_equal(drift, wire_hits["drift"]) and np.array_equal(sigma, wire_hits["sigma"]))
+    return wire_hits.with_columns(drift=drift, sigma=sigma) if changed else wire_hits
+
+
+def _relation_key(layer: WireLayer) -> tuple[Any, ...]:
+    return layer.drift_relation, layer.drift_velocity, layer.t0
+
+
+def _error_key(layer: WireLayer) -> tuple[Any, ...]:
+    return layer.sigma, layer.sigma_slope, layer.sigma_points, layer.diffusion
 
 
 Rows = npt.NDArray[np.integer[Any]]

@@ -17,10 +17,19 @@ from cgemit.detector.build import library
 from cgemit.detector.check import unreachable
 from cgemit.detector.field import KINDS, MapField, field_text, kind_key
 from cgemit.detector.files import OWN_MAP, write_field_map
-from cgemit.detector.keys import CELLS, CENTRED, Key, default, file_keys, keys_of, once, opened, required_of
+from cgemit.detector.keys import CELLS, CENTRED, Key, Known, default, file_keys, keys_of, once, opened, required_of
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer
-from cgemit.detector.layers.layer import PLACEMENT, STRIPS, SubLayer, strip_text
-from cgemit.detector.layers.wires import CellWire, DriftChamber, DriftPoint, ErrorPoint, Superlayer, WireLayer
+from cgemit.detector.layers.layer import STRIPS, SubLayer, strip_text
+from cgemit.detector.layers.wires import (
+    WIRES,
+    CellWire,
+    DriftChamber,
+    DriftPoint,
+    ErrorPoint,
+    Superlayer,
+    WireLayer,
+    wire_text,
+)
 from cgemit.detector.material import DensityEffect, Material, elements
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import BackgroundLevel, Contents, Cylinder, RatePoint
@@ -29,6 +38,7 @@ from cgemit.detector.reader import (
     GENERATED,
     MOST_POINTS,
     NAME,
+    OF_LISTS,
     TOP_LEVEL,
     WIRE_NUMBER,
 )
@@ -134,10 +144,23 @@ def to_dict(detector: Contents) -> dict[str, Any]:
     if detector.drift_chamber:
         tables["drift_chamber"] = _table(detector.drift_chamber)
         layers = {str(layer.number): _table(layer) for layer in detector.drift_chamber.layers}
+        for name in relation_of_all(detector.drift_chamber):
+            for row in layers.values():
+                tables["drift_chamber"][name] = row.pop(name)
         tables["drift_chamber"]["layers"] = layers
     tables["background"] = {level.label: _table(level) for level in detector.background}
     tables["materials"] = {m.name: _table(m) for m in own_materials(detector)}
     return {name: value for name, value in tables.items() if value != {}}
+
+
+def relation_of_all(chamber: DriftChamber) -> dict[str, Known]:
+    """Return the values of the relation of distance and time that all layers have, unless they are the usual ones."""
+    found = {}
+    for name in ("drift_relation", "drift_velocity", "t0"):
+        values = {getattr(layer, name) for layer in chamber.layers}
+        if len(values) == 1 and values != {default(WireLayer, name)}:
+            found[name] = Known(values.pop())
+    return found
 
 
 def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any]:
@@ -150,7 +173,7 @@ def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any
     chamber = detector.drift_chamber
     if chamber and any(group in changed for group in ("drift_chamber", "materials", "remove")):
         layers = {str(layer.number): layer for layer in chamber.layers}
-        tables["drift_chamber"] = opened(chamber) | {"layers": layers}
+        tables["drift_chamber"] = opened(chamber) | relation_of_all(chamber) | {"layers": layers}
         if chamber.superlayers:
             superlayers = {part.label: part for part in chamber.superlayers}
             tables["drift_chamber"] |= {"superlayers": superlayers, GENERATED: True}
@@ -215,13 +238,15 @@ def _map_beside(detector: Contents) -> str | None:
 
 def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
-    keys = {name: key for name, key in keys_of(kind).items() if name not in PLACEMENT or getattr(part, name) != 0}
-    keys = {name: key for name, key in keys.items() if not key.quiet or getattr(part, name) != default(kind, name)}
+    keys = keys_of(kind).items()
+    keys = {name: key for name, key in keys if not key.quiet or getattr(part, name) != default(kind, name)}
     usual = getattr(part, "usual_readout", None)
     keys = {name: key for name, key in keys.items() if key.kind != "readout" or getattr(part, name) != usual}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
     if found.get("sigma_points"):
         found |= dict.fromkeys(("sigma", "sigma_slope"))
+    if found.get("z_min"):
+        found[kind.short_form[0]] = None
     return {name: value for name, value in found.items() if value not in (None, {}, "", [])}
 
 
@@ -246,6 +271,10 @@ def _value(value: Any, kind: str) -> Any:
         return [_table(one) for one in value]
     if kind == "strips":
         return [strip_text(*one) for one in value]
+    if kind in OF_LISTS:
+        return [format_quantity(one, OF_LISTS[kind]) for one in value]
+    if kind == "channels":
+        return [wire_text(*one) for one in value]
     if kind == "gains":
         return [grid[0][0] if len(grid) == len(grid[0]) == 1 else [list(row) for row in grid] for grid in value]
     if kind in NATIVE and kind != "dimensionless":
@@ -366,7 +395,16 @@ def _schema_table(kind: type, complete: bool, more: Mapping[str, Any] | None = N
     keys = file_keys(kind)
     properties = {name: _schema_value(key) for name, key in keys.items()} | dict(more or {})
     found = {"type": "object", "properties": properties, "additionalProperties": False}
-    return {**found, "required": sorted(required_of(kind))} if complete else found
+    if not complete:
+        return found
+    required = required_of(kind)
+    short = getattr(kind, "short_form", ("",))[0]
+    if short in required:
+        found["anyOf"] = [{"required": [short]}, {"required": ["z_min", "z_max"]}]
+    return {**found, "required": sorted(required - {short})}
+
+
+_ENDS = ("half_length", "z_min", "z_max")
 
 
 def _chamber(complete: bool) -> dict[str, Any]:
@@ -377,14 +415,17 @@ def _chamber(complete: bool) -> dict[str, Any]:
     if complete:
         layer["required"] = [name for name in layer["required"] if name not in common]
         superlayer["required"] = ["cells", "layers"]
+        del superlayer["anyOf"]
     groups = {
-        "half_length": superlayer["properties"]["half_length"],
+        **{name: superlayer["properties"][name] for name in _ENDS},
         "layers": {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False},
         "superlayers": _labelled(superlayer) | {"description": "wire layers from a few numbers, from inside, by label"},
     }
     found = _schema_table(DriftChamber, complete, common | groups)
     ways = [{"required": ["layers"]}, {"required": ["superlayers"]}]
-    return {**found, "oneOf": ways, "dependentRequired": {"half_length": ["superlayers"]}} if complete else found
+    return (
+        {**found, "oneOf": ways, "dependentRequired": {name: ["superlayers"] for name in _ENDS}} if complete else found
+    )
 
 
 def _material() -> dict[str, Any]:
@@ -399,10 +440,10 @@ def _schema_value(key: Key) -> dict[str, Any]:
         return _quantity(key, limits)
     if key.kind == "cells":
         return {"description": key.doc, "anyOf": [_schema_value(one) for one in CELLS.values()]}
-    if key.kind == "angles":
-        angle = _quantity(replace(key, kind="angle"), limits)
-        rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": angle}
-        return {"description": key.doc, "anyOf": [angle, rows]}
+    if key.kind in OF_LISTS:
+        one = _quantity(replace(key, kind=OF_LISTS[key.kind]), limits)
+        rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": one}
+        return {"description": key.doc, "anyOf": [one, rows]}
     if key.kind == "readout":
         return {"description": key.doc, "anyOf": [{"type": "string"}, _schema_readout()]}
     kinds: dict[str, dict[str, Any]] = {
@@ -427,6 +468,7 @@ def _schema_value(key: Key) -> dict[str, Any]:
         "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
         "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
+        "channels": {"type": "array", "items": {"type": "string", "pattern": f"^{WIRES}$"}},
         "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},
         "numbers": {
             "type": "object",
@@ -475,8 +517,9 @@ def write_gdml(detector: Contents, path: str | os.PathLike[str], *, overwrite: b
 def _gdml(detector: Contents) -> ElementTree.Element:
     """Return the root of the file: a world of air with one tube for each shell, and a tube of vacuum on the axis."""
     found = [slab.shells for slab in slabs(detector, merge=False)]
-    placed = [shells for shells in found if shells[0].half_length < ENDLESS]
-    length = max(shell.half_length for shells in placed for shell in shells)
+    placed = [shells for shells in found if shells[0].ends != ENDLESS]
+    low, high = zip(*(shell.ends for shells in placed for shell in shells), strict=True)
+    whole, length = (min(low), max(high)), max(-min(low), max(high))
     radius = max(shell.r_out for shells in placed for shell in shells)
     root = ElementTree.Element("gdml")
     root.set("xmlns:xsi", "http://www.w3.org/2001/XMLSchema-instance")
@@ -484,25 +527,28 @@ def _gdml(detector: Contents) -> ElementTree.Element:
     ElementTree.SubElement(root, "define")
     materials = _Materials(ElementTree.SubElement(root, "materials"))
     solids, structure = ElementTree.SubElement(root, "solids"), ElementTree.SubElement(root, "structure")
-    volumes: list[tuple[str, float, float, float, str, float | None]] = [
-        ("beam_vacuum", 0.0, placed[0][0].r_in, length, "vacuum", None)
+    volumes: list[tuple[str, float, float, tuple[float, float], str, float | None]] = [
+        ("beam_vacuum", 0.0, placed[0][0].r_in, whole, "vacuum", None)
     ]
     for number, shells in enumerate(placed):
         name = _name(f"tube{number:03d}_{shells[0].group}_{shells[0].label}")
         shell = shells[0]
-        volumes.append((name, shell.r_in, shell.r_out, shell.half_length, materials.of(shells), _x0(shells)))
-    for name, r_in, r_out, half, material, x0 in volumes:
+        volumes.append((name, shell.r_in, shell.r_out, shell.ends, materials.of(shells), _x0(shells)))
+    for name, r_in, r_out, ends, material, x0 in volumes:
         about = {"name": f"{name}_solid", "lunit": "mm", "aunit": "deg", "startphi": "0", "deltaphi": "360"}
-        size = {"rmin": repr(float(r_in)), "rmax": repr(float(r_out)), "z": repr(float(2 * half))}
+        size = {"rmin": repr(float(r_in)), "rmax": repr(float(r_out)), "z": repr(float(ends[1] - ends[0]))}
         ElementTree.SubElement(solids, "tube", about | size)
         _volume(structure, name, material, f"{name}_solid", x0)
     across, along = repr(2 * (radius + _MARGIN)), repr(2 * (length + _MARGIN))
     ElementTree.SubElement(solids, "box", name="world_solid", lunit="mm", x=across, y=across, z=along)
-    air = Shell("air", "air", 0.0, 1.0, 1.0, detector.air)
+    air = Shell("air", "air", 0.0, 1.0, (-1.0, 1.0), detector.air)
     world = _volume(structure, "world", materials.of((air,)), "world_solid", detector.air.x0)
-    for name, *_ in volumes:
+    for name, _, _, ends, *_ in volumes:
         physical = ElementTree.SubElement(world, "physvol", name=f"{name}_placed")
         ElementTree.SubElement(physical, "volumeref", ref=name)
+        if middle := 0.5 * (ends[0] + ends[1]):
+            about = {"name": f"{name}_position", "unit": "mm", "x": "0", "y": "0", "z": repr(float(middle))}
+            ElementTree.SubElement(physical, "position", about)
     materials.write()
     setup = ElementTree.SubElement(root, "setup", name="Default", version="1.0")
     ElementTree.SubElement(setup, "world", ref="world")

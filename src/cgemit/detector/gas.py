@@ -431,7 +431,8 @@ def gap_columns(layer: Layer) -> dict[str, Any]:
             "electrons": np.array([electron_table(group).ravel() for group in groups]),
         },
         "gap": gap,
-        "half_length": layer.half_length,
+        "z_min": layer.ends[0],
+        "z_max": layer.ends[1],
         "slices": {
             "w_in": cut[:, 0].copy(),
             "w_out": cut[:, 1].copy(),

@@ -122,6 +122,7 @@ class Key(Quantity):
             "numbers": "a table of numbers c, x0, x1, a, k",
             "offset": '"centred", or a number',
             "strips": 'a list such as ["0:17", "1:100-120"]: sheet, and strip or first and last strip, from 0',
+            "channels": 'a list such as ["17", "100-120"]: wire, or first and last wire, from 0',
             "gains": "a list with a number for each sheet, or rows along z of numbers along X; numbers",
             "profile": "a list of { r, rate } with increasing r",
             "relation": "a list of at least two { distance, time }, the first at 0 mm, both rising",
@@ -129,6 +130,7 @@ class Key(Quantity):
             "counts": "a list of at most 100 numbers from 0, not all 0",
             "cells": 'a whole number of cells, or their width such as "12 mm"',
             "angles": "an angle, or a list of angles to use in turn, in rad",
+            "lengths": "a length, or a list of lengths to use in turn, in mm",
         }
         text = texts.get(self.kind) or describe(self.kind)
         if self.low == -float("inf"):

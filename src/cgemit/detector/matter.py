@@ -101,10 +101,10 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
 
 @lru_cache(maxsize=256)
 def _cylinders(group: str, cylinders: tuple[Cylinder, ...], merge: bool) -> tuple[Slab, ...]:
-    """Return cylinders as slabs; touching ones are joined and reach as far along the beam as the longest of them."""
+    """Return cylinders as slabs; touching ones are joined and reach as far along the beam as any of them."""
     runs: list[list[Shell]] = []
     for part in cylinders:
-        shell = Shell(group, part.label, part.r_in, part.r_out, part.half_length, part.material)
+        shell = Shell(group, part.label, part.r_in, part.r_out, part.ends, part.material)
         if merge and runs and part.r_in - runs[-1][-1].r_out < TOUCH:
             runs[-1].append(shell)
         else:
@@ -140,7 +140,7 @@ def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) ->
     found = []
     if outside and outside[0].r_in - last.r_mid > TOUCH:
         text = f"gas behind layer {last.number}"
-        shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.half_length, last.gas or chamber.gas)
+        shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.ends, last.gas or chamber.gas)
         found.append(Slab((shell,)))
     for inner, outer in pairwise(outside):
         if outer.r_in - inner.r_out > TOUCH:
@@ -158,7 +158,7 @@ class _GasLayer(NamedTuple):
 
     number: int
     r_mid: float  # mm
-    half_length: float  # mm
+    ends: tuple[float, float]  # mm
     material: Material
     wires: tuple[tuple[Material, float], ...]  # materials and X/X0 of wires that count
 
@@ -176,7 +176,7 @@ def _gas(chamber: DriftChamber) -> _Gas:
 
 def _gas_layer(chamber: DriftChamber, layer: WireLayer) -> _GasLayer:
     wires = layer.wire_matter(chamber.wire_material) if chamber.wires == "smeared" else ()
-    return _GasLayer(layer.number, layer.r_mid, layer.half_length, layer.gas or chamber.gas, wires)
+    return _GasLayer(layer.number, layer.r_mid, layer.ends, layer.gas or chamber.gas, wires)
 
 
 def row_shells(chamber: DriftChamber, layer: WireLayer, width: float) -> list[Shell]:
@@ -190,7 +190,7 @@ def row_shells(chamber: DriftChamber, layer: WireLayer, width: float) -> list[Sh
         mm.
     """
     gas = _gas_layer(chamber, layer)
-    shell = Shell("gas", "", layer.r_mid - 0.5 * width, layer.r_mid + 0.5 * width, layer.half_length, gas.material)
+    shell = Shell("gas", "", layer.r_mid - 0.5 * width, layer.r_mid + 0.5 * width, layer.ends, gas.material)
     return [shell, *_wires(gas, shell, 1.0)]
 
 
@@ -208,8 +208,9 @@ def _lumps(gas: Sequence[Slab]) -> list[Slab]:
 
 
 def _same_end(a: Slab, b: Slab) -> bool:
-    ends = [shell.half_length for slab in (a, b) for shell in slab.shells]
-    return max(ends) < 1.01 * min(ends)
+    ends = [shell.ends for slab in (a, b) for shell in slab.shells]
+    west, east = ([abs(one[side]) for one in ends] for side in (0, 1))
+    return max(west) < 1.01 * min(west) and max(east) < 1.01 * min(east)
 
 
 @lru_cache(maxsize=256)
@@ -219,16 +220,17 @@ def _chamber_gas(gas: _Gas, start: float, walls: tuple[tuple[float, float], ...]
     Where the end plate steps outward from one layer to the next, the lump reaches to the farther plate.
     """
     found = []
-    before = gas.layers[0].half_length
+    before = gas.layers[0].ends
     for layer in gas.layers:
-        number, radius, half_length = layer.number, layer.r_mid, layer.half_length
+        number, radius, ends = layer.number, layer.r_mid, layer.ends
         here = [wall for wall in walls if start - TOUCH < wall[0] < radius]
         for r_in, r_out in _between(start, radius, here):
             text = f"gas before layer {number}"
-            shell = Shell("gas", text, r_in, r_out, max(before, half_length), layer.material)
+            reach = min(before[0], ends[0]), max(before[1], ends[1])
+            shell = Shell("gas", text, r_in, r_out, reach, layer.material)
             share = (r_out - r_in) / (radius - start)
             found.append(Slab((shell, *_wires(layer, shell, share))))
-        start, before = radius, half_length
+        start, before = radius, ends
     return tuple(_lumps(found) if merge else found)
 
 

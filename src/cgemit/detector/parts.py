@@ -15,6 +15,7 @@ from cgemit.detector.keys import Part, key, once
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer, Layer, MeasurementLayer
 from cgemit.detector.layers.wires import DriftChamber, WireLayer
 from cgemit.detector.material import Material
+from cgemit.detector.shells import Bounded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +73,7 @@ class BackgroundLevel(Part):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder(Part):
+class Cylinder(Bounded):
     """A cylindrical shell of one material: a layer of the beam pipe or of a wall.
 
     Examples
@@ -219,5 +220,5 @@ def extent(detector: Contents) -> tuple[float, float]:
     """Return the outermost radius and |z| of a detector's parts, mm."""
     parts: list[Cylinder | Layer] = [*detector.beam_pipe, *detector.walls, *detector.barrels]
     radii = [part.r_out for part in parts] + [wires.r_end for wires in detector.wires]
-    lengths = [part.half_length for part in parts] + [wires.half_length for wires in detector.wires]
+    lengths = [max(-low, high) for low, high in (part.ends for part in (*parts, *detector.wires))]
     return max(radii, default=0.0), max(lengths, default=0.0)

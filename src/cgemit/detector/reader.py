@@ -13,12 +13,15 @@ from cgemit.base.validate import NO, entries
 from cgemit.detector.keys import CELLS, CENTRED, UNUSABLE, Key, Known, file_keys, keys_of, opened, plain, required_of
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer, Layer
 from cgemit.detector.layers.layer import STRIPS, SubLayer
-from cgemit.detector.layers.wires import CellWire, DriftPoint, ErrorPoint
+from cgemit.detector.layers.wires import WIRES, CellWire, DriftPoint, ErrorPoint
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import RatePoint
 from cgemit.detector.readouts import READOUTS, Readout
-from cgemit.units import NATIVE
+from cgemit.detector.shells import Bounded
+from cgemit.units import NATIVE, parse_quantity
 
+#: Kinds of lists of values, and of the values.
+OF_LISTS = {"angles": "angle", "lengths": "length"}
 #: Most entries of a list of rates.
 MOST_POINTS = 100
 
@@ -48,7 +51,8 @@ TOP_LEVEL = {
     "readout": "readout of the CGEM layers that state none: a name, or a table; in a variant, of all of the base's",
     "walls": "further cylinders by label",
     "drift_chamber": "drift chamber; sigma, sigma_slope, sigma_points, diffusion, efficiency, wire_x0, cell_wires, "
-    "signal_speed, readout_end hold for layers without their own, half_length for superlayers without their own",
+    "signal_speed, readout_end, drift_relation, drift_velocity, t0 hold for layers without their own, half_length, "
+    "z_min, z_max for superlayers without their own",
     "background": "levels of background by label",
     "materials": "materials by name",
 }
@@ -128,12 +132,34 @@ class Reader:
                 values[name] = self._known(known) if isinstance(known, _CHANGES) else known
             elif name in keys:
                 values[name] = self.value(joined(path, name), value, keys[name])
+        if hasattr(kind, "short_form"):
+            self.settle_ends(path, raw, values, *kind.short_form)
         left = required_of(kind) - values.keys()
         missing = [name for name in keys if name in left] if left else []
         if missing and not self.baseless and isinstance(raw, Mapping):
             hint = _label_hint(path, siblings)
             self.problems.note(path, _only(raw), "also " + ", ".join(missing), hint, unknown=True)
-        return {**values, **{name: _unusable(keys[name]) for name in missing}}
+        return {**values, **{name: unusable(keys[name]) for name in missing}}
+
+    def settle_ends(self, path: str, raw: object, values: dict[str, Any], short: str, share: float) -> None:
+        """Note ends of a table that are stated twice or in part; of both ends their short form follows."""
+        names = ("z_min", "z_max")
+        ends = [name for name in names if values.get(name) is not None]
+        given = raw if isinstance(raw, Mapping) else {}
+        stated = [name for name in (short, *ends) if name in given and not isinstance(given[name], Known)]
+        if len(ends) == 2 and stated[:1] != [short]:
+            low, high = (values[name] for name in names)
+            values[short] = share * (high - low)
+            if low == -high:
+                values |= dict.fromkeys(names)
+            return
+        if len(ends) == 1 and stated[:1] != [short]:
+            other = names[names[0] == ends[0]]
+            self.note(path, f"only {ends[0]}", f"also {other}, or {short} alone")
+            values.setdefault(short, UNUSABLE)
+        elif len(stated) > 1:
+            self.note(f"{path}.{short}", f"also {stated[1]}", f"{short}, or z_min and z_max")
+        values |= dict.fromkeys(ends)
 
     def value(self, path: str, raw: object, key: Key) -> Any:
         """Return one value in native units, or UNUSABLE after noting what is wrong."""
@@ -190,7 +216,7 @@ class Reader:
     def _stack(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list) or not raw:
             self.note(path, shown(raw), key.expected())
-            return _unusable(key)
+            return unusable(key)
         parts = []
         for i, row in enumerate(raw):
             if isinstance(row, SubLayer):  # read before
@@ -327,8 +353,10 @@ class Reader:
             self.note(path, shown(raw), key.expected())
             return (UNUSABLE,)
         places = [f"{path}[{i}]" for i in range(len(given))] if isinstance(raw, list) else [path]
-        angle = Key("angle", key.low, key.high)
-        return tuple(self.value(place, one, angle) for place, one in zip(places, given, strict=True))
+        each = Key(OF_LISTS[key.kind], key.low, key.high)
+        return tuple(self.value(place, one, each) for place, one in zip(places, given, strict=True))
+
+    _lengths = _angles
 
     def _strips(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list):
@@ -342,6 +370,20 @@ class Reader:
                 continue
             sheet, first, last = match.groups()
             found.append((int(sheet), int(first), int(last or first)))
+        return tuple(found)
+
+    def _channels(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        found = []
+        for i, one in enumerate(raw):
+            match = re.fullmatch(WIRES, one) if isinstance(one, str) else None
+            if match is None:
+                self.note(f"{path}[{i}]", shown(one), key.expected())
+                continue
+            first, last = match.groups()
+            found.append((int(first), int(last or first)))
         return tuple(found)
 
     def _gains(self, path: str, raw: object, key: Key) -> Any:
@@ -363,10 +405,11 @@ class Reader:
         return tuple(tuple(map(float, row)) for row in rows)
 
 
-def _unusable(key: Key) -> Any:
+def unusable(key: Key) -> Any:
+    """Return what stands for a value that could not be read."""
     if key.kind == "stack":
         return (SubLayer(label="", material=UNUSABLE, thickness=UNUSABLE),)
-    return UNUSABLE
+    return () if key.kind == "channels" else UNUSABLE
 
 
 def _only(raw: Mapping[str, Any]) -> str:
@@ -396,6 +439,9 @@ FOR_ALL_LAYERS = {
     "cell_wires": ("cell_wires", "wire_x0"),
     "signal_speed": ("signal_speed",),
     "readout_end": ("readout_end",),
+    "drift_relation": ("drift_relation", "drift_velocity"),
+    "drift_velocity": ("drift_velocity", "drift_relation"),
+    "t0": ("t0",),
 }
 
 
@@ -497,6 +543,11 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
             if isinstance(layer, Mapping):
                 _lay_own_readout(_open(_tables(result, group), label), layer)
                 kind.drop_replaced(_open(_tables(result, group), label), layer)
+                _lay_ends(_open(_tables(result, group), label), layer, *kind.short_form)
+    for group in ("beam_pipe", "walls"):
+        for label, part in _tables(variant, group).items():
+            if isinstance(part, Mapping):
+                _lay_ends(_open(_tables(result, group), label), part, *Bounded.short_form)
     _drop_field(result, _tables(variant, "field"))
     _drop_wires(_tables(result, "drift_chamber"), variant)
     _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
@@ -563,6 +614,7 @@ def _copy_layer(
     own = {name: value for name, value in changes.items() if name != "like"}
     _lay_own_readout(layer, own)
     LAYER_KINDS[group].drop_replaced(layer, own)
+    _lay_ends(layer, own, *LAYER_KINDS[group].short_form)
     _lay_over(layer, own, label)
     layers[label] = layer
 
@@ -587,6 +639,26 @@ def _tables(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+def _lay_ends(base: dict[str, Any], variant: Mapping[str, Any], short: str, share: float) -> None:
+    """Remove the ends of a base that a variant replaces; the short form of the base stands for the other end."""
+    if short in variant:
+        base.pop("z_min", None)
+        base.pop("z_max", None)
+    elif ("z_min" in variant or "z_max" in variant) and short in base:
+        old = plain(base[short])
+        try:
+            half = 0.5 / share * (parse_quantity(old, "length") if isinstance(old, str) else old)
+        except (TypeError, ValueError):
+            return  # it is noted where it is read
+        del base[short]
+        if plain(base.get("z_min")) is None:
+            base |= {"z_min": Known(-half), "z_max": Known(half)}
+
+
+#: Keys of the ends of wires.
+_ENDS = ("half_length", "z_min", "z_max")
+
+
 def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
     """Remove the values of the base's layers that the variant replaces; all layers if it changes superlayers."""
     changes, superlayers = _tables(variant, "drift_chamber"), _tables(chamber, "superlayers")
@@ -596,7 +668,11 @@ def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
                 for old in FOR_ALL_LAYERS[name]:
                     part.pop(old, None)
     removed = str(variant.get("remove", ""))
-    if "superlayers" in changes or "drift_chamber.superlayers" in removed or (superlayers and "half_length" in changes):
+    if (
+        "superlayers" in changes
+        or "drift_chamber.superlayers" in removed
+        or (superlayers and changes.keys() & set(_ENDS))
+    ):
         chamber.pop("layers", None)
         chamber.pop(GENERATED, None)
     tables = [changes, *_tables(changes, "layers").values(), *_tables(changes, "superlayers").values()]
@@ -605,9 +681,15 @@ def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
     for name, other in (("drift_relation", "drift_velocity"), ("drift_velocity", "drift_relation")):
         if name in changes:
             chamber.pop(other, None)
+    _lay_ends(chamber, changes, *Bounded.short_form)
+    for group in ("layers", "superlayers"):
+        for label, table in _tables(changes, group).items():
+            if isinstance(table, Mapping):
+                _lay_ends(_open(_tables(chamber, group), label), table, *Bounded.short_form)
     for label in superlayers:
-        if "half_length" in changes:
-            _open(superlayers, label).pop("half_length", None)
+        if changes.keys() & set(_ENDS):
+            for name in _ENDS:
+                _open(superlayers, label).pop(name, None)
         own = _tables(_tables(changes, "superlayers"), label)
         for name, other in (("stereo", "twist"), ("twist", "stereo")):
             if name in own:

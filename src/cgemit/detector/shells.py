@@ -3,19 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgemit import _core
-from cgemit.detector.keys import once
+from cgemit.detector.keys import Part, key, once
 from cgemit.detector.material import Element, Material
 
 TOUCH = 1e-6  # mm; parts closer than this touch
-ENDLESS = 1e9  # mm, half length of air
+ENDLESS = (-1e9, 1e9)  # mm, ends of air
+
+_END = "end at {}; both ends take the place of the length"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounded(Part):
+    """A part with ends along the beam: z_min and z_max where they differ, else a length is the short form of both."""
+
+    #: Name of the short form, and its value over the distance of the ends.
+    short_form: ClassVar[tuple[str, float]] = ("half_length", 0.5)
+
+    z_min: float | None = field(
+        metadata=key("length", _END.format("-z"), -5000.0, -1.0, quiet=True), default=None
+    )  # mm
+    z_max: float | None = field(metadata=key("length", _END.format("+z"), 1.0, 5000.0, quiet=True), default=None)  # mm
+
+    if TYPE_CHECKING:
+
+        @property
+        def half_length(self) -> float:
+            """Half of the distance of the ends, mm."""
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends along the beam, mm."""
+        if self.z_min is None or self.z_max is None:
+            return -self.half_length, self.half_length
+        return self.z_min, self.z_max
+
+    @property
+    def z_mid(self) -> float:
+        """Middle between the ends, mm."""
+        low, high = self.ends
+        return 0.5 * (low + high)
+
+    def length_text(self) -> str:
+        """Return the ends as a part of a line."""
+        low, high = self.ends
+        return f"length {high - low:g} mm" if low == -high else f"z = {low:g} to {high:g} mm"
 
 
 class Shell(NamedTuple):
@@ -32,7 +71,7 @@ class Shell(NamedTuple):
     label: str
     r_in: float  # mm
     r_out: float  # mm
-    half_length: float  # mm
+    ends: tuple[float, float]  # mm, along the beam
     material: Material
 
     @property
@@ -52,7 +91,7 @@ class Shell(NamedTuple):
 
 
 #: Numbers of a slab, in the order of `Row.numbers`: mm, but `x0` dimensionless and `xi` in GeV.
-NUMBERS = ("half_length", "r_in", "r_out", "radius", "spread", "x0", "xi")
+NUMBERS = ("z_min", "z_max", "r_in", "r_out", "radius", "spread", "x0", "xi")
 
 
 class Row(NamedTuple):
@@ -88,12 +127,13 @@ def row_of(shells: Sequence[Shell]) -> Row:
     ----------
     shells : sequence of Shell
     """
-    _, _, r_in, r_out, half_lengths, materials = zip(*shells, strict=True)
+    _, _, r_in, r_out, ends, materials = zip(*shells, strict=True)
     made = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
     radius, spread, x0, xi, log_terms, elements = _core.detector.sum_shells(
         materials=[made[id(material)] for material in materials], r_in=r_in, r_out=r_out
     )
-    numbers = (max(half_lengths), r_in[0], max(r_out), radius, spread, x0, xi)
+    low, high = zip(*ends, strict=True)
+    numbers = (min(low), max(high), r_in[0], max(r_out), radius, spread, x0, xi)
     return Row(numbers, log_terms, elements)
 
 
@@ -156,12 +196,12 @@ class Slab:
     @property
     def radius(self) -> float:
         """Centroid of the scattering power, mm."""
-        return self.row.numbers[3]
+        return self.row.numbers[4]
 
     @property
     def spread(self) -> float:
         """Standard deviation of the scattering power about `radius`, mm; each shell counts with its own width."""
-        return self.row.numbers[4]
+        return self.row.numbers[5]
 
     @cached_property
     def row(self) -> Row:

@@ -18,8 +18,9 @@ from cgemit.detector.layers.layer import SubLayer
 from cgemit.detector.layers.wires import CellWire, DriftChamber
 from cgemit.detector.material import Material
 from cgemit.detector.parts import Contents
-from cgemit.detector.reader import FOR_ALL_LAYERS, TOP_LEVEL
+from cgemit.detector.reader import FOR_ALL_LAYERS, OF_LISTS, TOP_LEVEL
 from cgemit.detector.readouts import Readout
+from cgemit.detector.shells import Bounded
 from cgemit.units import NATIVE
 
 _NUMBER = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)"
@@ -204,6 +205,8 @@ def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
     if last not in keys:
         return None
     value, key = getattr(node, last), keys[last]
+    if isinstance(node, Bounded) and last in ("z_min", "z_max"):
+        value = node.ends[last == "z_max"]
     return value, CELLS[type(value)] if key.kind == "cells" else key
 
 
@@ -258,8 +261,8 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
         return {path: Known(round(number * factor))}
     if (key.kind in NATIVE and number is not None) or (key.kind == "offset" and isinstance(number, float)):
         return {path: Known(number * factor)}
-    if key.kind == "angles" and number:
-        return {path: Known(tuple(angle * factor for angle in number))}
+    if key.kind in OF_LISTS and number:
+        return {path: Known(tuple(one * factor for one in number))}
     if key.kind not in ("text", "material", "gas"):
         given = f"{shown(value)} times {number}" if key.kind == "integer" else shown(value)
         problems.append(Problem(path, given, key.expected()))

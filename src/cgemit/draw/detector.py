@@ -39,7 +39,7 @@ class _Ring(NamedTuple):
     part: str
     r_in: float  # mm
     r_out: float  # mm
-    half_length: float  # mm
+    ends: tuple[float, float]  # mm
 
 
 def draw_detector(detector: Detector | str | Mapping[str, Any]) -> Picture:
@@ -151,17 +151,17 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (9.6, 5.4))
         layers = [layer for layer in wire_layers(detector) if layer.r_mid < edge]
-        reach = 1.12 * max([ring.half_length for ring in rings] + [layer.half_length for layer in layers])
+        reach = 1.12 * max(max(-low, high) for low, high in (one.ends for one in (*rings, *layers)))
         for ring in rings:
-            color, corner = _PARTS[ring.part], (-ring.half_length, ring.r_in)
-            size = (2 * ring.half_length, ring.r_out - ring.r_in)
-            ax.add_patch(Rectangle(corner, *size, facecolor=color, edgecolor=color, linewidth=0.5))
+            color, (low, high) = _PARTS[ring.part], ring.ends
+            size = (high - low, ring.r_out - ring.r_in)
+            ax.add_patch(Rectangle((low, ring.r_in), *size, facecolor=color, edgecolor=color, linewidth=0.5))
         for layer in layers:
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
         seen = [layer for layer in detector.layers if layer.r_mid < edge]
         room = min(np.diff([layer.r_mid for layer in seen]), default=edge) > _LABEL * edge
         for one in seen if room else ():
-            place = (one.half_length + 0.008 * reach, one.r_mid)
+            place = (one.ends[1] + 0.008 * reach, one.r_mid)
             ax.annotate(plain(one.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
         _polar_angles(ax, edge, reach)
         ax.set(xlim=(-reach, reach), ylim=(0, edge), xlabel="z (mm)", ylabel="r (mm)")
@@ -212,12 +212,12 @@ def _view(
 
 def _rings(detector: Detector) -> Iterator[_Ring]:
     for part in detector.beam_pipe:
-        yield _Ring("beam pipe", part.r_in, part.r_out, part.half_length)
+        yield _Ring("beam pipe", part.r_in, part.r_out, part.ends)
     for part in detector.walls:
-        yield _Ring("wall", part.r_in, part.r_out, part.half_length)
+        yield _Ring("wall", part.r_in, part.r_out, part.ends)
     for _, layers in detector.by_kind():
         for layer in layers:
-            yield from (_Ring(*ring, layer.half_length) for ring in layer.rings())
+            yield from (_Ring(*ring, layer.ends) for ring in layer.rings())
 
 
 def _kind(layer: WireLayer) -> str:

@@ -157,15 +157,16 @@ def _transverse_detector(axes: Axes, detector: Detector) -> None:
 
 def _longitudinal_detector(axes: Axes, detector: Detector) -> None:
     for layer in detector.layers:
-        corner = (-layer.half_length, layer.r_in)
-        height = max(layer.r_out - layer.r_in, 0.8)
-        axes.add_patch(Rectangle(corner, 2 * layer.half_length, height, color="#B7D5EF", lw=0))
+        _add_part(axes, layer, "#B7D5EF")
     for part in matter_parts(detector):
-        corner = (-part.half_length, part.r_in)
-        height = max(part.r_out - part.r_in, 0.8)
-        axes.add_patch(Rectangle(corner, 2 * part.half_length, height, color=COLORS["matter"], lw=0))
+        _add_part(axes, part, COLORS["matter"])
     lines = [np.column_stack(wire_profile(layer)) for layer in wire_layers(detector)]
     axes.add_collection(LineCollection(lines, colors="#E1E5EA", linewidths=0.6))
+
+
+def _add_part(axes: Axes, part: Any, color: str) -> None:
+    low, high = part.ends
+    axes.add_patch(Rectangle((low, part.r_in), high - low, max(part.r_out - part.r_in, 0.8), color=color, lw=0))
 
 
 def _crossings(axes: Axes, x: Array, y: Array, size: float = 7) -> None:
@@ -267,7 +268,7 @@ def _anode(axes: Axes, view: EventView, number: int) -> None:
     for edge in layer.sheet_phi:
         axes.axvline(math.degrees(edge), color="#B9C1CA", lw=0.8, ls=":", zorder=0)
     _frame(axes, "φ  (deg)", "z  (mm)" if layer is view.detector.cgem[0] else "")
-    axes.set(xlim=(-180, 180), ylim=(-layer.half_length, layer.half_length), xticks=(-180, -90, 0, 90, 180))
+    axes.set(xlim=(-180, 180), ylim=layer.ends, xticks=(-180, -90, 0, 90, 180))
     axes.set_title(f"anode of {plain(layer.label)}, unrolled", loc="left")
 
 
@@ -374,11 +375,11 @@ def _plotly() -> Any:
 
 
 def _cylinders(plotly: Any, view: EventView) -> list[Any]:
-    parts = [("beam pipe", part.r_out, part.half_length, "#8A95A1") for part in view.detector.beam_pipe[:1]]
-    parts += [(layer.label, layer.r_mid, layer.half_length, "#7FB2DC") for layer in view.detector.layers]
+    parts = [("beam pipe", part.r_out, part.ends, "#8A95A1") for part in view.detector.beam_pipe[:1]]
+    parts += [(layer.label, layer.r_mid, layer.ends, "#7FB2DC") for layer in view.detector.layers]
     found = []
-    for name, radius, half, color in parts:
-        z = np.array([[-half], [half]])
+    for name, radius, ends, color in parts:
+        z = np.array(ends)[:, None]
         x, y = (np.broadcast_to(radius * f(_TURN), (2, len(_TURN))) for f in (np.cos, np.sin))
         found.append(plotly.Surface(
             x=x, y=y, z=np.broadcast_to(z, x.shape), opacity=0.18, showscale=False, colorscale=[[0, color], [1, color]],

@@ -90,19 +90,16 @@ def matter_parts(detector: Detector) -> list[Cylinder | Layer]:
 
 def wire_positions(layer: WireLayer, wires: npt.NDArray[np.integer[Any]], z: Array | float) -> tuple[Array, Array]:
     """Return x and y, (n,) float64 mm, of wires, (n,) int, at z, (n,) float64 mm."""
-    east = layer.phi_east + wires * 2 * np.pi / layer.cells
-    west = east - layer.twist
-    share = 0.5 * (1 + np.clip(z / layer.half_length, -1, 1))
-    x = layer.r_end * (share * np.cos(east) + (1 - share) * np.cos(west))
-    y = layer.r_end * (share * np.sin(east) + (1 - share) * np.sin(west))
-    return x, y
+    low, high = layer.ends
+    share = np.clip((z - low) / (high - low), 0, 1)
+    east, west = np.moveaxis(layer.wire_ends(wires), -2, 0)
+    return share * east[..., 0] + (1 - share) * west[..., 0], share * east[..., 1] + (1 - share) * west[..., 1]
 
 
 def wire_profile(layer: WireLayer) -> tuple[Array, Array]:
     """Return z and r, (41,) float64 mm, along the wires of a layer: a hyperbola for straight stereo wires."""
-    z = np.linspace(-layer.half_length, layer.half_length, 41)
-    sag = layer.r_end**2 - layer.r_mid**2
-    return z, np.sqrt(layer.r_mid**2 + sag * (z / layer.half_length) ** 2)
+    z = np.linspace(*layer.ends, 41)
+    return z, np.array([layer.radius_at(one) for one in z])
 
 
 def smooth_curve(points: Array, directions: Array, steps: int = 12) -> Array:
@@ -278,7 +275,7 @@ def _ghosts(clusters: Table) -> npt.NDArray[np.bool_]:
 def _reach(detector: Detector) -> tuple[float, float]:
     wires = wire_layers(detector)
     r = [part.r_out for part in matter_parts(detector)] + [layer.r_out for layer in detector.layers]
-    z = [layer.half_length for layer in detector.layers] + [layer.half_length for layer in wires]
+    z = [max(-layer.ends[0], layer.ends[1]) for layer in (*detector.layers, *wires)]
     r += [layer.r_end for layer in wires]
     return max(r, default=_FALLBACK_SIZE), max(z, default=_FALLBACK_SIZE)
 
@@ -366,11 +363,11 @@ def strip_line(layer: Layer, sheet: int, view: int, strip: int, n: int = 121) ->
     start = layer.sheet_phi[sheet]
     if view == 0:
         phi = start + (strip + 0.5) * layer.pitch_x / layer.r_readout
-        return np.full(2, phi), np.array([-layer.half_length, layer.half_length])
+        return np.full(2, phi), np.array(layer.ends)
     x = np.linspace(0.0, 2 * np.pi * layer.r_readout / layer.sheets, n)
     v = v_of_strips(layer, strip + 0.5)
     # The ends of the strip, where it leaves the sheet along the beam.
-    ends = (v - (layer.z_ref - np.array([-1, 1]) * layer.half_length) * np.sin(layer.stereo)) / np.cos(layer.stereo)
+    ends = (v - (layer.z_ref - np.array(layer.ends)) * np.sin(layer.stereo)) / np.cos(layer.stereo)
     x = np.clip(np.unique(np.concatenate([x, ends])), max(0.0, ends.min()), min(x[-1], ends.max()))
     return start + x / layer.r_readout, crossing_z(layer, x, v)
 

@@ -34,15 +34,16 @@ class Matter:
     ----------
     r_in, r_out : ndarray, (n,) float64
         mm.
-    half_length : ndarray, (n,) float64
-        mm, up to `FARTHEST_Z`.
+    z_min, z_max : ndarray, (n,) float64
+        mm, up to `FARTHEST_Z` from the origin.
     shares : ndarray, (n,) float64
         Of the particles: X/X0 times the area times the flux at the shell's middle, with a sum of 1.
     """
 
     r_in: Floats
     r_out: Floats
-    half_length: Floats
+    z_min: Floats
+    z_max: Floats
     shares: Floats
 
     def points(self, u: Floats) -> Floats:
@@ -50,16 +51,19 @@ class Matter:
         shell = np.searchsorted(np.cumsum(self.shares)[:-1], u[:, 0], side="right")
         inner, outer = self.r_in[shell] ** 2, self.r_out[shell] ** 2
         r, turn = np.sqrt(inner + (outer - inner) * u[:, 1]), 2 * np.pi * u[:, 2]
-        return np.stack([r * np.cos(turn), r * np.sin(turn), self.half_length[shell] * (2 * u[:, 3] - 1)], axis=1)
+        middle, half = 0.5 * (self.z_min + self.z_max), 0.5 * (self.z_max - self.z_min)
+        z = middle[shell] + half[shell] * (2 * u[:, 3] - 1)
+        return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
 
 
 def matter_of(detector: Detector) -> Matter:
     """Return the matter of a detector, from the beam pipe outward."""
     shells = [shell for slab in slabs(detector, merge=False) for shell in slab.shells]
-    r_in, r_out, length, x0 = np.array([(s.r_in, s.r_out, min(s.half_length, FARTHEST_Z), s.x0) for s in shells]).T
+    r_in, r_out, low, high, x0 = np.array([(s.r_in, s.r_out, *s.ends, s.x0) for s in shells]).T
+    low, high = np.maximum(low, -FARTHEST_Z), np.minimum(high, FARTHEST_Z)
     r = 0.5 * (r_in + r_out)
-    weight = x0 * r * length * r**POWER
-    return Matter(r_in, r_out, length, weight / weight.sum())
+    weight = x0 * r * (0.5 * (high - low)) * r**POWER
+    return Matter(r_in, r_out, low, high, weight / weight.sum())
 
 
 _Triple = tuple[ValueLike, ValueLike, ValueLike]

@@ -6,6 +6,8 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from cgemit.base.arrays import Floats
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.channels import checked
@@ -170,9 +172,33 @@ def cluster(
 
     groups = detector.groups
     if len(groups) == 1:
-        return of_group(groups[0], digis, directions)
+        return in_layers(detector, of_group(groups[0], digis, directions))
     if directions is None:
-        return merged([of_group(group, digis[group.owns(digis)], None) for group in groups])
+        return in_layers(detector, merged([of_group(group, digis[group.owns(digis)], None) for group in groups]))
     if clusters is None:
         clusters = cluster.unchecked(detector, digis, settings)
-    return merged([of_group(group, digis[group.owns(digis)], directions[group.owns(clusters)]) for group in groups])
+    found = [of_group(group, digis[group.owns(digis)], directions[group.owns(clusters)]) for group in groups]
+    return in_layers(detector, merged(found))
+
+
+def in_layers(detector: Detector, clusters: Table) -> Table:
+    """Return clusters of displaced sheets with `v` and `z` in the axes of their layers; others as they are.
+
+    Strips of a sheet that is shifted by dz along the beam have V = X cos + (z_ref - z + dz) sin of the stereo angle.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters : Table
+        In the axes of their sheets.
+    """
+    layers = detector.layers
+    if not any(any(layer.sheet_z) for layer in layers):
+        return clusters
+    shift = np.zeros(len(clusters))
+    for number, layer in enumerate(layers):
+        mine = clusters["layer"] == number
+        shift[mine] = np.array(layer.sheet_z)[clusters["sheet"][mine]]
+    sine = np.sin([layer.stereo for layer in layers])[clusters["layer"]]
+    # Columns of a view that is not measured are no numbers, and stay so.
+    return clusters.with_columns(v=clusters["v"] - shift * sine, z=clusters["z"] + shift)

@@ -105,9 +105,10 @@ _RANGES = {
 
 
 def _reach(detector: Detector, layer: Column) -> Column:
-    """Return the largest abs(z) of a point on each layer, mm; no limit for layers that are not there."""
-    lengths = np.array([*(1.1 * one.half_length for one in detector.layers), np.inf])
-    return lengths[np.where((layer >= 0) & (layer < len(detector.layers)), layer, -1)]
+    """Return the range of z of a point on each layer, (n, 2) mm; without limits for layers that are not there."""
+    ends = np.array([*(one.ends for one in detector.layers), (-np.inf, np.inf)])
+    ends[:-1] += 0.05 * np.diff(ends[:-1], axis=1) * (-1, 1)
+    return ends[np.where((layer >= 0) & (layer < len(detector.layers)), layer, -1)]
 
 
 class RowProblem(NamedTuple):
@@ -150,10 +151,10 @@ def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
             by_position = np.isnan(clusters[name]) & np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
             refuse(name, point & ~np.isfinite(clusters[name]) & ~by_position, f"a finite number, {unit}")
         if name in clusters:  # in another unit, a position may still lie somewhere on the layer
-            most = 2 * np.pi * np.ones(len(layer)) if name == "phi" else _reach(detector, layer)
+            low, high = (-2 * np.pi, 2 * np.pi) if name == "phi" else _reach(detector, layer).T
             by_other = np.isfinite(clusters.get(other, np.full(len(layer), np.nan)))
-            far = point & ~by_other & np.isfinite(clusters[name]) & (np.abs(clusters[name]) > most)
-            refuse(name, far, _RANGES[name])
+            beyond = (clusters[name] < low) | (clusters[name] > high)
+            refuse(name, point & ~by_other & np.isfinite(clusters[name]) & beyond, _RANGES[name])
     for name, largest in (("err_phi", np.pi), ("err_z", 1e5)):  # only their squares reach the fit
         if name in clusters:
             refuse(name, clusters[name] <= 0, "a number above 0")

@@ -21,7 +21,7 @@ from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector
-from cgemit.detector.drift import BESIII, DriftRelation, _of_layers, propagation_time, relation_of
+from cgemit.detector.drift import DriftRelations, _of_layers, propagation_time, relations_of
 from cgemit.detector.layers.layer import local_v
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.cluster import cluster
@@ -206,7 +206,7 @@ class DriftTimes(Refinement):
         row, time, z = states["hit"][wire], time[wire], states["z"][wire]
         row, first = np.unique(row, return_index=True)  # of several tracks the first one counts
         delay = time[first] + propagation_time(detector, measured["layer"][row], z[first])
-        exact = _earlier(relation_of(detector), measured[row], delay)
+        exact = _earlier(relations_of(detector), measured[row], delay)
         columns = {name: found[name].copy() for name in ("drift", "drift_time", "sigma")}
         for name, column in columns.items():
             column[row] = exact[name]
@@ -216,9 +216,9 @@ class DriftTimes(Refinement):
 def expected(detector: Detector, wire_hits: Table, *, cosmic: bool = False) -> Table:
     """Return wire hits corrected for the delay at the middle of their wires, before any track is known.
 
-    The time of flight is taken for light on a straight line from the origin to the wire at z = 0; with particles from
-    above it is negative for wires above the origin. Errors include the uniform spread of the propagation over the wire
-    of length L, L/(v sqrt(12)) times the drift velocity.
+    The time of flight is taken for light on a straight line from the origin to the middle of the wire; with particles
+    from above it is negative for wires above the origin. Errors include the uniform spread of the propagation over the
+    wire of length L, L/(v sqrt(12)) times the drift velocity.
 
     Parameters
     ----------
@@ -234,15 +234,15 @@ def expected(detector: Detector, wire_hits: Table, *, cosmic: bool = False) -> T
         If a hit has no drift time, a layer is not in the detector, or the detector does not say how signals run.
     """
     layer = wire_hits["layer"]
-    radius, half_length, speed = _of_layers(detector, layer, "r_mid", "half_length", "signal_speed")
-    relation = relation_of(detector)
-    time = radius / LIGHT
+    radius, z, half_length, speed = _of_layers(detector, layer, "r_mid", "z_mid", "half_length", "signal_speed")
+    relations = relations_of(detector)
+    time = np.hypot(radius, z) / LIGHT
     if cosmic:
         first, twist, cells = _of_layers(detector, layer, "phi_east", "twist", "cells")
         above = np.sin(first - 0.5 * twist + 2 * np.pi * wire_hits["wire"] / cells) > 0
         time = np.where(above, -time, time)
-    found = _earlier(relation, wire_hits, time + propagation_time(detector, layer, 0.0))
-    spread = 2 * half_length / (speed * np.sqrt(12)) * relation.velocity_at(found["drift"])
+    found = _earlier(relations, wire_hits, time + propagation_time(detector, layer, z))
+    spread = 2 * half_length / (speed * np.sqrt(12)) * relations.velocity_at(layer, found["drift"])
     return found.with_columns(sigma=np.hypot(found["sigma"], spread))
 
 
@@ -298,13 +298,13 @@ def _masses(candidates: Table, tracks: Table) -> Floats:
     return np.asarray(mass, np.float64)
 
 
-def _earlier(relation: DriftRelation, wire_hits: Table, delay: Floats) -> Table:
+def _earlier(relations: DriftRelations, wire_hits: Table, delay: Floats) -> Table:
     """Return wire hits with drift times that are shorter by a delay, ns, and distances to match."""
     time = wire_hits["drift_time"]
     unknown = np.count_nonzero(~np.isfinite(time))
     if unknown:
         raise ValueError(f"wire_hits: {unknown} of {len(time)} have no drift_time, expected one for each")
-    return wire_hits.with_columns(drift_time=time - delay, drift=relation.shifted(wire_hits["drift"], time, -delay))
+    return wire_hits.with_columns(drift_time=time - delay, drift=relations.shifted(wire_hits, -delay))
 
 
 class ClusterDirection(Refinement):
@@ -412,7 +412,7 @@ class StartTime(Refinement):
         self._time: Floats = np.zeros(0)
         self._before: _Fits | None = None
         self._slope: Floats = np.zeros((0, 5))
-        self._relation = BESIII
+        self._relations = DriftRelations(())
 
     def guess(self, detector: Detector, hits: Hits) -> Hits:
         """Start at the given time, with errors for that it is wrong."""
@@ -422,7 +422,7 @@ class StartTime(Refinement):
                 f"fit: start_time: got 'fitted' and {unknown} of {len(hits.wire_hits)} wire hits without a drift_time, "
                 "expected one for each"
             )
-        self._relation = relation_of(detector)
+        self._relations = relations_of(detector)
         n = len(hits.wire_hits.events)
         self._time, self._error = np.zeros(n), np.full(n, self._prior_error)
         self._moving = np.ones(n, np.bool_)
@@ -434,9 +434,9 @@ class StartTime(Refinement):
         event = np.searchsorted(turn.candidates.events, turn.candidates["event"])
         rest = turn.turns - turn.number
         if rest == 2:  # the fit of this turn was shifted
-            self._set_errors(_Fits.of(self._relation, turn, self._time[event] + PROBE), event)
+            self._set_errors(_Fits.of(self._relations, turn, self._time[event] + PROBE), event)
             return self._shifted(hits)
-        now = self._before = _Fits.of(self._relation, turn, self._time[event])
+        now = self._before = _Fits.of(self._relations, turn, self._time[event])
         self._step(now, event, turn.number)
         if rest == 3:
             return self._shifted(hits, shift=PROBE)
@@ -457,9 +457,9 @@ class StartTime(Refinement):
     def _shifted(self, hits: Hits, error: float = 0.0, shift: float = 0.0) -> Hits:
         """Return hits with drift times counted from the present start times; `error`: of these times, ns."""
         wires = hits.wire_hits
-        wires = start_subtracted(self._relation, wires, wires.events, self._time + shift)
+        wires = start_subtracted(self._relations, wires, wires.events, self._time + shift)
         if error:
-            velocity = self._relation.velocity_at(np.abs(wires["drift"]))
+            velocity = self._relations.velocity_at(wires["layer"], np.abs(wires["drift"]))
             wires = wires.with_columns(sigma=np.hypot(wires["sigma"], error * velocity))
         return replace(hits, wire_hits=wires)
 
@@ -506,12 +506,14 @@ class StartTime(Refinement):
         return np.divide(mean, total, out=np.zeros(events), where=total > 0), np.asarray(total), counted
 
 
-def start_subtracted(relation: DriftRelation, wire_hits: Table, events: npt.NDArray[np.int64], start: Floats) -> Table:
+def start_subtracted(
+    relations: DriftRelations, wire_hits: Table, events: npt.NDArray[np.int64], start: Floats
+) -> Table:
     """Return wire hits with drift times counted from the start times of their events, and distances to match.
 
     Parameters
     ----------
-    relation : DriftRelation
+    relations : DriftRelations
     wire_hits : Table
     events : ndarray, (n,) int64
         Numbers of events, ascending; hits of other events stay.
@@ -521,8 +523,8 @@ def start_subtracted(relation: DriftRelation, wire_hits: Table, events: npt.NDAr
         return wire_hits
     row = np.searchsorted(events, wire_hits["event"]).clip(max=len(events) - 1)
     shift = -np.where(events[row] == wire_hits["event"], start[row], 0.0)
-    time = wire_hits["drift_time"]
-    return wire_hits.with_columns(drift_time=time + shift, drift=relation.shifted(wire_hits["drift"], time, shift))
+    drift = relations.shifted(wire_hits, shift)
+    return wire_hits.with_columns(drift_time=wire_hits["drift_time"] + shift, drift=drift)
 
 
 class _Fits(NamedTuple):
@@ -540,7 +542,7 @@ class _Fits(NamedTuple):
     helix: Floats
 
     @classmethod
-    def of(cls, relation: DriftRelation, turn: Turn, at: Floats) -> _Fits:
+    def of(cls, relations: DriftRelations, turn: Turn, at: Floats) -> _Fits:
         """Return the derivatives of chi-square of the tracks of a turn.
 
         With W the weight matrix of the measurements m in the fit, chi2 = m W m. The residual of hit i to the track
@@ -555,7 +557,7 @@ class _Fits(NamedTuple):
         # Velocity and cut at the predicted distance, which the error of the hit does not move.
         predicted = side * wires["drift"][hit] - residual
         certain = np.abs(predicted) > CERTAIN * wires["sigma"][hit]
-        slope = np.where(certain, side * relation.velocity_at(np.abs(predicted)), 0.0)
+        slope = np.where(certain, side * relations.velocity_at(wires["layer"][hit], np.abs(predicted)), 0.0)
         good = np.isin(tracks["status"], (_core.common.FitStatus.ok, _core.common.FitStatus.unconstrained))
         return cls(
             at=at, gradient=np.bincount(track, slope * residual / err**2, len(tracks)).astype(np.float64),

@@ -20,11 +20,11 @@ from cgemit.base.validate import Check, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
 from cgemit.detector.channels import channels_of, checked
-from cgemit.detector.core import compiled, layer_table, strip_lists
-from cgemit.detector.drift import DriftRelation, relation_of
+from cgemit.detector.core import compiled, layer_table, strip_lists, wire_lists
+from cgemit.detector.drift import DriftRelations, relations_of
 from cgemit.detector.layers.wires import WireLayer
 from cgemit.detector.parts import BackgroundLevel, cgem_numbers
-from cgemit.simulation.digitize import without_dead
+from cgemit.simulation.digitize import without_dead, without_dead_wires
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
 from cgemit.tables.store import INDEX, StoredTables
@@ -135,8 +135,9 @@ def add_background(
 ) -> dict[str, Table]:
     """Return digis and wire hits with background and other events; of several hits of a cell, the earliest is kept.
 
-    Hot strips that the layers of the detector file list fire in every event, whatever the settings. A strip that has
-    fired already stays as it is. Dead channels have no hit. Readouts without strips get background on wires only.
+    Hot strips and wires that the layers of the detector file list fire in every event, whatever the settings. A strip
+    that has fired already stays as it is. Dead channels have no hit. Readouts without strips get background on wires
+    only.
 
     Parameters
     ----------
@@ -178,10 +179,11 @@ def add_background(
             digis = _with_strips(detector, level, settings.factor, digis, seed)
     elif has_strips and len(strip_lists(detector).hot):
         digis = _with_strips(detector, level or BackgroundLevel(label=""), 0.0, digis, seed)
-    if not settings.is_off:
+    hot_wires = wire_lists(detector.drift_chamber).hot if detector.drift_chamber else ()
+    if not settings.is_off or len(hot_wires):
         wire_hits = _with_cells(detector, level, settings, wire_hits, seed)
     if settings.start_time > 0:
-        wire_hits = _with_start_time(relation_of(detector), wire_hits, settings.start_time, seed)
+        wire_hits = _with_start_time(relations_of(detector), wire_hits, settings.start_time, seed)
     return {"digis": digis, "wire_hits": wire_hits}
 
 
@@ -246,11 +248,14 @@ def _probability(rate: npt.ArrayLike, window: float, factor: float) -> Floats:
 def _with_cells(
     detector: Detector, level: BackgroundLevel | None, settings: BackgroundSettings, wire_hits: Table, seed: int
 ) -> Table:
-    """Return wire hits with cells of the background, without dead ones."""
+    """Return wire hits with cells of the background and listed hot wires, without dead ones."""
     chamber = detector.drift_chamber
     layers, first = (chamber.layers, chamber.gid_first) if chamber else ((), ())
     hot, hot_fires = np.empty(0, np.int32), np.empty(0)
-    if level is None or settings.cells > 0:
+    listed = wire_lists(chamber).hot if chamber else hot
+    if settings.is_off:
+        window, runs, begins = BackgroundLevel(label="").wire_window, np.ones(1), np.zeros(len(layers))
+    elif level is None or settings.cells > 0:
         window, runs = STRESS_WINDOW, np.array(STRESS_RUNS)
         begins = np.full(len(layers), settings.cells * settings.factor)
     else:
@@ -266,10 +271,10 @@ def _with_cells(
         # Runs overlap: a cell stays silent if no run that would reach it begins.
         begins = 1 - (1 - np.minimum(begins, 0.95)) ** (1 / mean)
     cells = _core.simulation.background_cells(
-        compiled(detector), wire_hits.events, begins=begins, lengths=lengths, window=window, hot=hot,
-        hot_fires=hot_fires, seed=seed,
+        compiled(detector), wire_hits.events, begins=begins, lengths=lengths, window=window,
+        hot=np.concatenate([hot, listed]), hot_fires=np.concatenate([hot_fires, np.ones(len(listed))]), seed=seed,
     )  # fmt: skip
-    drift = relation_of(detector).distance_at(cells["drift_time"])
+    drift = relations_of(detector).distance_at(cells["layer"], cells["drift_time"])
     sigma = np.zeros(len(drift))
     for layer in layers:
         mine = cells["layer"] == layer.number
@@ -277,6 +282,7 @@ def _with_cells(
     n = len(drift)
     cells |= {"drift": drift, "sigma": np.maximum(sigma, 1e-3)}
     wire_hits = _earliest(wire_hits, cells | {"side": np.zeros(n), "wire_truth": np.full(n, -1)})
+    wire_hits = without_dead_wires(detector, wire_hits)
     if level is not None and level.dead_wires > 0:
         wire_hits = wire_hits[channel_kinds(wire_hits["gid"], CELLS) >= level.dead_wires]
     return wire_hits
@@ -351,14 +357,14 @@ def _earliest(wire_hits: Table, more: Mapping[str, Any]) -> Table:
     return _like(wire_hits, columns, order[first])
 
 
-def _with_start_time(relation: DriftRelation, wire_hits: Table, sigma: float, seed: int) -> Table:
+def _with_start_time(relations: DriftRelations, wire_hits: Table, sigma: float, seed: int) -> Table:
     """Return wire hits whose drift times are shifted by a Gaussian number for each event.
 
     Drift distances follow from the times; their standard deviations stay, since a fit does not know of the shift.
     """
     shift = np.repeat(start_times(wire_hits.events, sigma, seed), np.diff(wire_hits.offsets))
-    time = wire_hits["drift_time"]
-    return wire_hits.with_columns(drift_time=time + shift, drift=relation.shifted(wire_hits["drift"], time, shift))
+    drift = relations.shifted(wire_hits, shift)
+    return wire_hits.with_columns(drift_time=wire_hits["drift_time"] + shift, drift=drift)
 
 
 def start_times(events: npt.NDArray[np.int64], sigma: float, seed: int) -> Floats:
@@ -437,17 +443,18 @@ def mix_events(
     shift = offset[0] + (offset[1] - offset[0]) * drawn[:, 1]
     found = {
         "digis": digis,
-        "wire_hits": _mixed_cells(relation_of(detector), wire_hits, tables["wire_hits"], chosen, shift),
+        "wire_hits": _mixed_cells(relations_of(detector), wire_hits, tables["wire_hits"], chosen, shift),
     }
     if all(bool((one["strip"] >= 0).all()) for one in (digis, tables["digis"])):
         found["digis"] = _mixed_strips(digis, tables["digis"], chosen, shift)
     return found
 
 
-def _mixed_cells(relation: DriftRelation, given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
+def _mixed_cells(relations: DriftRelations, given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
     more, shift = _of_others(given, other, "drift_time", chosen, shift)
     # At the same time nothing changes: the measured distance is kept to the last digit.
-    drift = np.where(shift == 0, more["drift"], relation.distance_at(np.maximum(more["drift_time"], 0.0)))
+    distance = relations.distance_at(more["layer"], more["drift_time"])
+    drift = np.where(shift == 0, more["drift"], np.maximum(distance, 0.0))
     return _earliest(
         given, more | {"drift": drift, "wire_truth": np.full(len(shift), -1), "side": np.zeros(len(shift))}
     )

@@ -16,8 +16,8 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import check_numbers
 from cgemit.detector import Detector, ReadoutGroup, compiled, load
 from cgemit.detector.channels import checked
-from cgemit.detector.core import in_dead_area, strip_lists
-from cgemit.detector.drift import propagation_time, relation_of
+from cgemit.detector.core import in_dead_area, strip_lists, wire_lists
+from cgemit.detector.drift import propagation_time, relations_of
 from cgemit.detector.layers import Layer
 from cgemit.detector.layers.layer import seen_by
 from cgemit.detector.readouts import (
@@ -40,7 +40,7 @@ from cgemit.tables.table import made_by, merged
 
 
 def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Table, Table]:
-    """Return truths and steps in the axes of their layers; the same tables where no layer is displaced.
+    """Return truths and steps in the axes of their layers and sheets; the same tables where nothing is displaced.
 
     A straight track through the crossing is continued to the displaced layer. Points of delta electrons keep their
     places relative to it.
@@ -56,7 +56,7 @@ def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Tabl
     truths, steps : Table
         With other `entry`, `exit`, `phi`, `z` of truths, and `x`, `y`, `z`, `dx`, `dy`, `dz` of steps.
     """
-    if not any(layer.is_moved for layer in detector.layers):
+    if not any(layer.is_moved or any(layer.sheet_z) for layer in detector.layers):
         return truths, steps
     entry, out = _points(truths, "entry_x", "entry_y", "entry_z"), _points(truths, "exit_x", "exit_y", "exit_z")
     direction = out - entry
@@ -65,12 +65,17 @@ def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Tabl
     at, length = _points(steps, "x", "y", "z"), _points(steps, "dx", "dy", "dz")
     along = direction[steps["truth"]]
     for number, layer in enumerate(detector.layers):
-        if not layer.is_moved:
-            continue
         mine, of_mine = truths["layer"] == number, steps["layer"] == number
-        for points in (entry, out, middle):
-            points[mine] = seen_by(layer, points[mine], direction[mine])
-        at[of_mine], length[of_mine] = _steps_seen_by(layer, at[of_mine], length[of_mine], along[of_mine])
+        if layer.is_moved:
+            for points in (entry, out, middle):
+                points[mine] = seen_by(layer, points[mine], direction[mine])
+            at[of_mine], length[of_mine] = _steps_seen_by(layer, at[of_mine], length[of_mine], along[of_mine])
+        if any(layer.sheet_z):
+            shift = np.zeros(len(truths))
+            shift[mine] = np.array(layer.sheet_z)[layer.sheet_at(np.arctan2(middle[mine, 1], middle[mine, 0]))]
+            for points in (entry, out, middle):
+                points[:, 2] -= shift
+            at[:, 2] -= shift[steps["truth"]]
     moved = _columns(("entry_x", "entry_y", "entry_z"), entry) | _columns(("exit_x", "exit_y", "exit_z"), out)
     moved |= {"phi": np.arctan2(middle[:, 1], middle[:, 0]), "z": middle[:, 2]}
     of_steps = _columns(("x", "y", "z"), at) | _columns(("dx", "dy", "dz"), length)
@@ -257,7 +262,8 @@ def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table
     for number, layer in enumerate(detector.layers):
         if layer.dead_seam > 0 or layer.dead_ends > 0:
             rows = np.flatnonzero(truths["layer"] == number)
-            turn = np.remainder(truths["phi"][rows] - layer.phi_first, 2 * np.pi / layer.sheets)
+            phi = truths["phi"][rows]
+            turn = np.min([np.remainder(phi - start, 2 * np.pi) for start in layer.sheet_phi], axis=0)
             dead[rows] = in_dead_area(layer, layer.r_readout * turn, truths["z"][rows])
     return digis[~dead[digis["truth"]] | (digis["truth"] < 0)] if dead.any() else digis
 
@@ -277,6 +283,18 @@ def without_dead(detector: Detector, digis: Table) -> Table:
     return Table(
         "digis", {name: column[alive] for name, column in digis.columns.items()}, meta=digis.meta, **digis.cover
     )
+
+
+def without_dead_wires(detector: Detector, wire_hits: Table) -> Table:
+    """Drop the hits of dead wires.
+
+    Parameters
+    ----------
+    detector : Detector
+    wire_hits : Table
+    """
+    dead = wire_lists(detector.drift_chamber).dead if detector.drift_chamber else ()
+    return wire_hits[~np.isin(wire_hits["gid"], dead)] if len(dead) else wire_hits
 
 
 def read_out_wires(
@@ -305,13 +323,12 @@ def read_out_wires(
     else:  # times that are not finite stay, for the check
         time = wire_truths["time"]
         delay = np.where((wire_truths["half_turn"] > 0) | ~np.isfinite(time), time, 0.0)
-    relation = relation_of(detector)
     hits = _core.simulation.read_out_wires(
-        compiled(detector), {**wire_truths.columns, "delay": delay}, xt_distance=relation.distance,
-        xt_time=relation.time, reveal_sides=reveal_sides, seed=seed,
-    )  # fmt: skip
-    table = Table("wire_hits", hits, **wire_truths.cover)
+        compiled(detector), {**wire_truths.columns, "delay": delay}, reveal_sides=reveal_sides, seed=seed
+    )
+    table = without_dead_wires(detector, Table("wire_hits", hits, **wire_truths.cover))
     if not raw:
         return table
-    late, drift_time = delay[table["wire_truth"]], table["drift_time"]
-    return table.with_columns(drift_time=drift_time + late, drift=relation.shifted(table["drift"], drift_time, late))
+    late = delay[table["wire_truth"]]
+    drift = relations_of(detector).shifted(table, late)
+    return table.with_columns(drift_time=table["drift_time"] + late, drift=drift)

@@ -16,6 +16,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.detector import Detector, load
 from cgemit.detector.channels import checked
+from cgemit.detector.core import wire_lists
 from cgemit.tables import Table
 from cgemit.truth.assign import own_clusters
 from cgemit.truth.origins import have_flown
@@ -35,8 +36,8 @@ def by_truth(
     """Give each charged particle the X clusters, V clusters and wire hits that its truths link to.
 
     Of several clusters of one crossing in one view, `own_clusters` selects one. XV clusters are left out, since they
-    repeat their X and V clusters. Hits without a truth, of a particle that is not in the table, of the daughters of a
-    decay, or of half turns other than the first are not assigned.
+    repeat their X and V clusters. Hits of hot wires, without a truth, of a particle that is not in the table, of the
+    daughters of a decay, or of half turns other than the first are not assigned.
 
     Parameters
     ----------
@@ -60,9 +61,12 @@ def by_truth(
     charged = np.flatnonzero(have_flown(particles))
     candidate_of = np.full(len(particles), -1)  # of each particle; neutral ones have none
     candidate_of[charged] = np.arange(len(charged))
+    links = wire_hits["wire_truth"]
+    if detector.drift_chamber and len(masked := wire_lists(detector.drift_chamber).masked):
+        links = np.where(np.isin(wire_hits["gid"], masked), -1, links)
     hits = _core.truth.assign_hits(
         particles=dict(particles.columns), truths=dict(truths.columns), wire_truths=dict(wire_truths.columns),
-        clusters=dict(clusters.columns), wire_hits=dict(wire_hits.columns), candidates=candidate_of,
+        clusters=dict(clusters.columns), wire_hits={**wire_hits.columns, "wire_truth": links}, candidates=candidate_of,
         rows=own_clusters(detector, clusters, truths),
     )  # fmt: skip
     event = particles["event"].take(charged)

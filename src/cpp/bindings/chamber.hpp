@@ -16,7 +16,7 @@ struct Chamber {
   std::vector<WireLayer> layers;
 };
 
-std::vector<Placement> placements_of(const pybind11::dict& columns, std::size_t n);
+std::vector<Placement> placements_of(const pybind11::dict& columns, std::size_t n, const char* name);
 std::vector<WireLayer> make_wires(const pybind11::dict& columns);
 void check(Problems& problems, const std::vector<WireLayer>& wires);
 // Wire layers that are checked with the rest of a detector; those of `make_chamber` were.

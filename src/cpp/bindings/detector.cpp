@@ -45,8 +45,8 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
                              const py::dict& composition) {
   const auto r_in = take<double>(columns, "r_in"), r_out = take<double>(columns, "r_out"),
              radius = take<double>(columns, "radius"), spread = take<double>(columns, "spread"),
-             half_length = take<double>(columns, "half_length"), x0 = take<double>(columns, "x0"),
-             xi = take<double>(columns, "xi");
+             z_min = take<double>(columns, "z_min"), z_max = take<double>(columns, "z_max"),
+             x0 = take<double>(columns, "x0"), xi = take<double>(columns, "xi");
   const auto gap = take<std::int32_t>(columns, "gap");
   const auto filler = take<std::uint8_t>(columns, "filler");
   const auto n = static_cast<std::size_t>(r_in.size());
@@ -58,7 +58,7 @@ std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_t
     slab.r_out = r_out.at(i);
     slab.radius = radius.at(i);
     slab.spread = spread.at(i);
-    slab.half_length = half_length.at(i);
+    slab.ends = {z_min.at(i), z_max.at(i)};
     slab.x0 = x0.at(i);
     slab.xi = xi.at(i);
     slab.gap = gap.at(i);
@@ -88,8 +88,8 @@ void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
 
 std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
   const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
-             r_gap_out = take<double>(columns, "r_gap_out"),
-             half_length = take<double>(columns, "half_length"), pitch_x = take<double>(columns, "pitch_x"),
+             r_gap_out = take<double>(columns, "r_gap_out"), z_min = take<double>(columns, "z_min"),
+             z_max = take<double>(columns, "z_max"), pitch_x = take<double>(columns, "pitch_x"),
              pitch_v = take<double>(columns, "pitch_v"), stereo = take<double>(columns, "stereo"),
              offset_v = take<double>(columns, "offset_v"), phi_first = take<double>(columns, "phi_first");
   const auto sheets = take<std::int32_t>(columns, "sheets"),
@@ -100,7 +100,7 @@ std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
   const auto width = phi_first.ndim() == 2 ? phi_first.shape(1) : 0;
   const int most = static_cast<int>(std::min<py::ssize_t>(width, most_sheets));
   const auto edges = matrix(phi_first, "phi_first", r_readout.size(), width);
-  const auto placements = placements_of(columns, n);
+  const auto placements = placements_of(columns, n, "placement");
   const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends"),
              lorentz_shift = take<double>(columns, "lorentz_shift"), slope = take<double>(columns, "slope");
   const auto has_x = take<std::uint8_t>(columns, "has_x"), has_v = take<std::uint8_t>(columns, "has_v");
@@ -112,7 +112,7 @@ std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
     layers[i] = {r_readout.at(i),
                  r_gap_in.at(i),
                  r_gap_out.at(i),
-                 half_length.at(i),
+                 {z_min.at(i), z_max.at(i)},
                  pitch_x.at(i),
                  pitch_v.at(i),
                  stereo.at(i),
@@ -150,7 +150,8 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("r_out", slabs[i].r_out, slabs[i].r_in, far);
     part.within("radius", slabs[i].radius, 0, far);
     part.within("spread", slabs[i].spread, 0, far);
-    part.within("half_length", slabs[i].half_length, 0, HUGE_VAL);
+    part.within("z_min", slabs[i].ends.low, -HUGE_VAL, HUGE_VAL);
+    part.within("z_max", slabs[i].ends.high, slabs[i].ends.low, HUGE_VAL);
     part.within("x0", slabs[i].x0, 0, far);
     part.within("xi", slabs[i].xi, 0, far);
     part.within("gap", slabs[i].gap, -1, static_cast<double>(layers.size()) - 1);
@@ -166,7 +167,8 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("r_gap_in", layers[i].r_gap_in, tiny, far);
     part.within("r_gap_out", layers[i].r_gap_out, layers[i].r_gap_in, far);
     part.within("r_readout", layers[i].r_readout, tiny, far);
-    part.within("half_length", layers[i].half_length, tiny, far);
+    part.within("z_min", layers[i].ends.low, -far, far);
+    part.within("z_max", layers[i].ends.high, layers[i].ends.low + tiny, far);
     part.within("pitch_x", layers[i].pitch_x, tiny, far);
     part.within("pitch_v", layers[i].pitch_v, tiny, far);
     part.within("stereo", std::abs(layers[i].stereo), tiny, pi);

@@ -95,8 +95,7 @@ py::dict profiles(const Detector& detector, const py::dict& table, const py::dic
   return to_dict(std::move(digis));
 }
 
-py::dict wires(const Detector& detector, const py::dict& table, const Array<double>& xt_distance,
-               const Array<double>& xt_time, bool reveal_sides, std::uint64_t seed) {
+py::dict wires(const Detector& detector, const py::dict& table, bool reveal_sides, std::uint64_t seed) {
   Inputs in(table, "event");
   WireTruthColumns truths;
   truths.event = in.get<std::int64_t>("event");
@@ -106,13 +105,10 @@ py::dict wires(const Detector& detector, const py::dict& table, const Array<doub
   truths.doca = in.get<double>("doca");
   truths.side = in.get<std::int8_t>("side");
   truths.delay = in.get<double>("delay");
-  const auto distance = column(xt_distance, "xt_distance");
-  if (distance.size() < 2) throw std::invalid_argument("xt_distance: expected at least two points");
-  const auto time = column(xt_time, "xt_time", xt_distance.size());
   Columns<WireHitRow> hits;
   {
     py::gil_scoped_release release;
-    hits = kernels().read_out_wires(detector, truths, {distance, time, reveal_sides, seed});
+    hits = kernels().read_out_wires(detector, truths, {reveal_sides, seed});
   }
   return to_dict(std::move(hits));
 }
@@ -135,6 +131,5 @@ void bind_digitize(py::module_& module) {
              py::arg("noise"), py::arg("seed"), py::arg("gains") = py::dict(),
              "Columns of digis from columns of truths and steps: charge profiles integrated over strips.");
   module.def("read_out_wires", &wires, py::arg("detector"), py::arg("wire_truths"), py::kw_only(),
-             py::arg("xt_distance"), py::arg("xt_time"), py::arg("reveal_sides"), py::arg("seed"),
-             "Columns of wire_hits from columns of wire_truths.");
+             py::arg("reveal_sides"), py::arg("seed"), "Columns of wire_hits from columns of wire_truths.");
 }

@@ -39,7 +39,8 @@ GapMatter make_gap(const py::dict& gap) {
   if (gap.empty()) return matter;
   matter.layers = make_layers(py::cast<py::dict>(gap["layers"]));
   matter.gap = py::cast<std::size_t>(gap["gap"]);
-  matter.half_length = py::cast<double>(gap["half_length"]);
+  matter.z_min = py::cast<double>(gap["z_min"]);
+  matter.z_max = py::cast<double>(gap["z_max"]);
   matter.slices = make_slices(py::cast<py::dict>(gap["slices"]));
   matter.xi = py::cast<double>(gap["xi"]);
   matter.w_value = py::cast<double>(gap["w_value"]);

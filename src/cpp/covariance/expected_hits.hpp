@@ -61,13 +61,13 @@ class ExpectedHits {
 
   void reaches(GroupStep& step, const Slab& slab, const HelixPointOf<T>& at, const Mask& reached) {
     step.first = step.last = next_;
-    if (const Mask missed = reached & (abs(at.z) > slab.half_length); any(missed))
+    if (const Mask missed = reached & slab.ends.miss(at.z); any(missed))
       reach_.miss(detector_, slab, at, missed, false);
     if (slab.gap < 0) return;
     const auto index = static_cast<std::size_t>(slab.gap);
     if (again_) return repeat(step, at);
     const MeasuringLayer& layer = detector_.layers[index];
-    const Mask within = reached & reach_.parts & (abs(at.z) <= layer.half_length - layer.dead_ends);
+    const Mask within = reached & reach_.parts & layer.ends.hold(at.z, -layer.dead_ends);
     if (!any(within)) return;
     const double dead = 0.5 * layer.dead_seam;
     const T phi = atan2(at.y, at.x);
@@ -127,7 +127,7 @@ class ExpectedHits {
 
   Mask on_wire(const Slot<T>& slot, const T& z) const {
     if (again_) return Mask(true);
-    return abs(z) <= detector_.wires[static_cast<std::size_t>(slot.layer)].half_length;
+    return detector_.wires[static_cast<std::size_t>(slot.layer)].ends.hold(z);
   }
 
   // The variance of a measurement that the reference has met. Tracks are anywhere in strips and cells,
@@ -185,7 +185,8 @@ class ExpectedHits {
     const WireLayer& layer = detector_.wires[index];
     for (; any(left); left = left & (first <= last)) {
       const CellNumbers<T> cell = cell_numbers(layer, select(left, first, T(0.0)));
-      const Mask fired = layer.efficiency < 1 ? left & is_efficient(layer, cell) : left;
+      Mask fired = layer.efficiency < 1 ? left & is_efficient(layer, cell) : left;
+      if (!layer.masked.empty()) fired = fired & is_usable(layer, cell);
       first += T(1.0);
       if (any(fired)) add_wire(step, index, fired, cell);
     }
@@ -238,6 +239,13 @@ class ExpectedHits {
       set_lane(fired, i, open_unit(words[1]) <= layer.efficiency);
     }
     return fired;
+  }
+
+  static Mask is_usable(const WireLayer& layer, const CellNumbers<T>& cell) {
+    Mask usable(false);
+    for (int i = 0; i < lanes_of<T>; ++i)
+      set_lane(usable, i, !layer.is_masked(static_cast<std::size_t>(cell[static_cast<std::size_t>(i)])));
+    return usable;
   }
 
   // Lanes whose crossing of a CGEM layer has clusters: X and V come from the same electrons.

@@ -86,7 +86,7 @@ class RecordedTrack {
     }
     void reaches(GroupStep& step, const Slab& slab, const HelixMotion<double>& motion, bool reached) {
       step.first = step.last = 0;
-      if (reached && std::abs(motion.point().z) > slab.half_length)
+      if (reached && slab.ends.miss(motion.point().z))
         reach_.miss(*track_->detector_, slab, motion.point(), true, false);
       if (slab.gap >= 0 && reached && reach_.parts) record(step) = {true, motion, 0, {}};
     }

@@ -1,6 +1,7 @@
 #include "detector/detector.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -12,9 +13,18 @@ namespace cgemit {
 
 namespace {
 
-// Every wire is the first one, turned about the beam line. The sine and cosine of the turn follow from those
-// of the wire before.
+bool is_displaced(const EndShift& end) { return end.x != 0 || end.y != 0 || end.rotation != 0; }
+
+// A wire of the layer, moved with it and then with the chamber.
+Wire moved_with(const WireLayer& layer, const Placement& chamber, Wire wire) {
+  if (layer.placement.moved) wire = moved(layer.placement, wire);
+  return chamber.moved ? moved(chamber, wire) : wire;
+}
+
+// Every wire is the first one, turned about the beam line, unless an end of the layer is displaced. The sine
+// and cosine of the turn follow from those of the wire before.
 PlacedWires wires_of(const WireLayer& layer, const Placement& chamber) {
+  const bool alike = !is_displaced(layer.east) && !is_displaced(layer.west);
   const Wire first = place_wire(layer, 0);
   const double step = 2 * pi / layer.cells, cosine = std::cos(step), sine = std::sin(step);
   std::vector<Wire> placed;
@@ -23,7 +33,7 @@ PlacedWires wires_of(const WireLayer& layer, const Placement& chamber) {
   for (int i = 0; i < layer.cells; ++i) {
     const Wire wire{c * first.x - s * first.y, s * first.x + c * first.y, c * first.ex - s * first.ey,
                     s * first.ex + c * first.ey, first.ez};
-    placed.push_back(chamber.moved ? moved(chamber, wire) : wire);
+    placed.push_back(moved_with(layer, chamber, alike ? wire : place_wire(layer, i)));
     const double turned = cosine * c - sine * s;
     s = sine * c + cosine * s;
     c = turned;
@@ -34,33 +44,44 @@ PlacedWires wires_of(const WireLayer& layer, const Placement& chamber) {
 std::vector<Extent> parts_of(const Detector& detector) {
   std::vector<Extent> parts;
   for (const Slab& slab : detector.slabs)
-    if (slab.filler == Filler::none) parts.push_back({slab.radius, slab.half_length});
+    if (slab.filler == Filler::none) parts.push_back({slab.radius, slab.ends});
   std::ranges::stable_sort(parts, {}, &Extent::radius);
   return parts;
 }
 
 // A layer borders the cells of its neighbours beyond its ends, too, unless the continued wires meet theirs.
 void set_borders(WireLayer& inner, WireLayer& outer) {
-  const double z = std::max(inner.half_length, outer.half_length);
-  if (wire_radius(inner, z) < wire_radius(outer, z)) return;
-  WireLayer& shorter = inner.half_length < outer.half_length ? inner : outer;
-  shorter.borders = shorter.half_length;
+  const double high = std::max(inner.ends.high, outer.ends.high),
+               low = std::min(inner.ends.low, outer.ends.low);
+  if (!(wire_radius(inner, high) < wire_radius(outer, high))) {
+    WireLayer& shorter = inner.ends.high < outer.ends.high ? inner : outer;
+    shorter.borders.high = shorter.ends.high;
+  }
+  if (!(wire_radius(inner, low) < wire_radius(outer, low))) {
+    WireLayer& shorter = inner.ends.low > outer.ends.low ? inner : outer;
+    shorter.borders.low = shorter.ends.low;
+  }
 }
 
-// Whether wires outside of a radius reach steeper lines from the origin than those up to it.
+double radius_of(const WireLayer& layer) { return wire_radius(layer, layer.middle); }
+
+// Whether wires outside of a radius reach steeper lines from the origin than those up to it, at either end.
 bool reopens(const std::vector<WireLayer>& wires, double radius) {
-  double inside = 0, outside = 0;
+  std::array<double, 2> inside{}, outside{};
   for (const WireLayer& layer : wires) {
-    const double r = wire_radius(layer, 0.0), steepest = layer.half_length / r;
-    (r > radius ? outside : inside) = std::max(r > radius ? outside : inside, steepest);
+    const double r = radius_of(layer);
+    std::array<double, 2>& steepest = r > radius ? outside : inside;
+    steepest = {std::max(steepest[0], -layer.ends.low / r), std::max(steepest[1], layer.ends.high / r)};
   }
-  return inside > 0 && outside > inside;
+  return inside[1] > 0 && (outside[0] > inside[0] || outside[1] > inside[1]);
 }
 
 }  // namespace
 
 void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
   for (WireLayer& layer : layers) {
+    layer.half_length = layer.ends.half();
+    layer.middle = layer.ends.middle();
     const double c = std::cos(0.5 * layer.twist), s = std::sin(0.5 * layer.twist), r = layer.r_end;
     layer.waist = r * r * c * c;
     layer.flare = r * r * s * s / (layer.half_length * layer.half_length);
@@ -90,7 +111,7 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Meas
     detector.surfaces.push_back({detector.slabs[i].radius, true, static_cast<int>(i)});
   }
   for (std::size_t i = 0; i < detector.wires.size(); ++i) {
-    detector.surfaces.push_back({wire_radius(detector.wires[i], 0.0), false, static_cast<int>(i)});
+    detector.surfaces.push_back({radius_of(detector.wires[i]), false, static_cast<int>(i)});
   }
   std::ranges::stable_sort(detector.surfaces, {}, &Surface::radius);
   detector.parts = parts_of(detector);
@@ -98,9 +119,11 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Meas
     const auto outside = std::ranges::upper_bound(detector.parts, slab.radius, {}, &Extent::radius);
     slab.parts_inside = static_cast<std::size_t>(outside - detector.parts.begin());
     slab.reopens = slab.filler == Filler::chamber_gas && reopens(detector.wires, slab.r_out + 1e-6);
-    slab.steepest_beyond = 0;
-    for (auto part = outside; part != detector.parts.end(); ++part)
-      slab.steepest_beyond = std::max(slab.steepest_beyond, part->half_length / part->radius);
+    slab.slopes_beyond = {0, 0};
+    for (auto part = outside; part != detector.parts.end(); ++part) {
+      slab.slopes_beyond.low = std::min(slab.slopes_beyond.low, part->ends.low / part->radius);
+      slab.slopes_beyond.high = std::max(slab.slopes_beyond.high, part->ends.high / part->radius);
+    }
   }
   return detector;
 }

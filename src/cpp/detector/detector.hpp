@@ -19,6 +19,27 @@ inline constexpr int loss_points = 161;
 inline constexpr double loss_grid_first = -3.0;  // ln(beta gamma)
 inline constexpr double loss_grid_step = 0.1, loss_grid_per_step = 10;
 
+// The ends of a part along the beam, mm. Neither holds of a z that is no number.
+struct Ends {
+  double low, high;
+
+  template <class T>
+  mask_of<T> hold(const T& z, double margin = 0) const {
+    return (z >= low - margin) & (z <= high + margin);
+  }
+  template <class T>
+  mask_of<T> miss(const T& z, double margin = 0) const {
+    return (z < low - margin) | (z > high + margin);
+  }
+  // Distance from z = 0 of the end that tracks with this tanl fly to.
+  template <class T>
+  T ahead(const T& tanl) const {
+    return select(tanl < 0.0, T(-low), T(high));
+  }
+  double half() const { return 0.5 * (high - low); }
+  double middle() const { return 0.5 * (low + high); }
+};
+
 // One chemical element of a slab.
 struct Component {
   double z, a;   // atomic number and weight, g/mol
@@ -58,10 +79,10 @@ enum class Filler : std::uint8_t { none, air, chamber_gas };
 // A cylindrical shell of matter, or several neighbouring shells merged to one scatterer, acting at `radius`.
 // What every crossing reads comes first, in one cache line.
 struct alignas(64) Slab {
-  double radius;       // mm, centroid of the scattering power
-  double spread;       // mm, standard deviation of the scattering power about `radius`, along the radius
-  double half_length;  // mm; no matter beyond
-  double xi;  // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
+  double radius;  // mm, centroid of the scattering power
+  double spread;  // mm, standard deviation of the scattering power about `radius`, along the radius
+  Ends ends;      // no matter beyond
+  double xi;      // GeV, (K/2) sum of Z/A times mass thickness at normal incidence; Landau's xi is xi/beta^2
   // Derived (`matter/scattering.hpp`), at normal incidence:
   double chi_c2;            // GeV^2, (chi_c p beta)^2 of nuclei and electrons
   double chi_c2_electrons;  // GeV^2, the electrons' part of it
@@ -71,9 +92,9 @@ struct alignas(64) Slab {
   Filler filler;
   bool shifts;  // derived: whether shifts inside the slab matter: below 5 um at 1 GeV/c any hit error exceeds
                 // them
-  // Derived, of `Detector::parts`: largest tanl of a straight line from the origin to one outside of the
+  // Derived, of `Detector::parts`: range of tanl of straight lines from the origin to those outside of the
   // slab, and the number of those that are not outside.
-  double steepest_beyond = 0;
+  Ends slopes_beyond{0, 0};
   std::size_t parts_inside = 0;
   // Derived, of chamber gas: whether wires outside of it reach steeper lines from the origin than all wires
   // up to here. Tracks beyond its end have not left the chamber.
@@ -110,14 +131,14 @@ inline constexpr int most_sheets = 8;  // of a layer
 // One cylindrical layer with its readout, of two views or one: a GEM layer, or a sensor that measures
 // positions.
 struct MeasuringLayer {
-  double r_readout;    // mm, radius of X = r_readout (phi - phi_first)
-  double r_gap_in;     // mm, cathode side of the drift gap, or inner face of the sensor
-  double r_gap_out;    // mm, first foil, or outer face of the sensor
-  double half_length;  // mm, active
-  double pitch_x;      // mm
-  double pitch_v;      // mm
-  double stereo;       // rad, signed
-  double offset_v;     // V of the edge where V strip 0 begins, in units of pitch_v
+  double r_readout;  // mm, radius of X = r_readout (phi - phi_first)
+  double r_gap_in;   // mm, cathode side of the drift gap, or inner face of the sensor
+  double r_gap_out;  // mm, first foil, or outer face of the sensor
+  Ends ends;         // of the active area
+  double pitch_x;    // mm
+  double pitch_v;    // mm
+  double stereo;     // rad, signed
+  double offset_v;   // V of the edge where V strip 0 begins, in units of pitch_v
   int sheets;
   int strips_x;                               // per sheet
   int strips_v;                               // per sheet
@@ -134,7 +155,7 @@ struct MeasuringLayer {
   bool has(bool x) const { return x ? has_x : has_v; }
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
-  double z_ref() const { return stereo > 0 ? half_length : -half_length; }
+  double z_ref() const { return stereo > 0 ? ends.high : ends.low; }
 };
 
 // A sense wire: its point at z = 0 and its unit direction (towards +z).
@@ -172,30 +193,56 @@ struct ErrorRamp {
   double change;  // of the slope from there on
 };
 
-// One layer of drift cells around straight, possibly stereo, wires.
+// A point of the relation of drift distance and time.
+struct DriftPoint {
+  double distance, time;  // mm, ns
+
+  bool operator==(const DriftPoint&) const = default;
+};
+
+// How far the wires of a layer are displaced at one end: turned about the beam line, then shifted.
+struct EndShift {
+  double x = 0, y = 0;  // mm
+  double rotation = 0;  // rad
+};
+
+// One layer of drift cells around straight, possibly stereo, wires. Cells and their borders are where the
+// description puts them; `placed` are the wires where they are.
 struct WireLayer {
   int number;  // layer number of the experiment
   int cells;
-  double r_end;        // mm, wire radius at the end plates
-  double half_length;  // mm
+  double r_end;        // mm, wire radius at both ends
+  Ends ends;           // of the wires
   double twist;        // rad, azimuth at the +z end minus azimuth at the -z end
   double phi_east;     // rad, azimuth of wire 0 at the +z end
   double sigma;        // mm, error of the drift distance at the wire
   double sigma_slope;  // change of that error per mm of drift distance
   double efficiency;
-  int gid_first;  // running number of the layer's wire 0
-  // Derived from the above: one wire per cell; distance from the beam line is sqrt(waist + flare z^2).
+  int gid_first;          // running number of the layer's wire 0
+  EndShift east, west;    // of the ends at +z and at -z
+  Placement placement{};  // of the layer with its ends, in the chamber
+  // Of each wire, whether it gives no usable hit, since it is dead or hot; empty: none.
+  std::vector<std::uint8_t> masked;
+  std::vector<DriftPoint> relation;  // both rising; at least two points
+  // Derived from the above: one wire per cell; distance from the beam line is
+  // sqrt(waist + flare (z - middle)^2).
   PlacedWires placed;
+  double half_length, middle;  // mm, of the wires along the beam
   double waist, flare, tan_half_twist;
   double per_radian;             // cells per radian
   double twist_per_z;            // 1/mm, tan_half_twist/half_length
   std::vector<ErrorRamp> ramps;  // of the error, where it is no straight line
-  double borders = HUGE_VAL;     // mm, |z| up to which its wires are neighbours of those of other layers
+  // Between these its wires are neighbours of those of other layers.
+  Ends borders{-HUGE_VAL, HUGE_VAL};
+
+  bool has_borders() const { return borders.low > -HUGE_VAL || borders.high < HUGE_VAL; }
+  bool is_masked(std::size_t wire) const { return !masked.empty() && masked[wire] != 0; }
 };
 
 // The cylinder of a slab that is no filler.
 struct Extent {
-  double radius, half_length;  // mm
+  double radius;  // mm
+  Ends ends;
 };
 
 // A surface that a track crosses on its outward path, ordered by radius.

@@ -47,7 +47,7 @@ struct DeltaSlice {
 struct GapMatter {
   std::vector<ElectronLayer> layers;  // from inside
   std::size_t gap;                    // index of the gap among the layers
-  double half_length;                 // mm; electrons are not followed beyond
+  double z_min, z_max;                // mm; electrons are not followed beyond
   std::vector<DeltaSlice> slices;
   double xi;                     // keV/mm of the gas; Landau's xi is xi/beta^2
   double w_value;                // keV per electron

@@ -11,13 +11,19 @@
 
 namespace cgemit {
 
+// The straight line between the two ends of a wire, each where it is displaced to.
 inline Wire place_wire(const WireLayer& layer, int number) {
-  const double east = layer.phi_east + number * (2 * pi / layer.cells), west = east - layer.twist;
-  const double ex = layer.r_end * (std::cos(east) - std::cos(west)),
-               ey = layer.r_end * (std::sin(east) - std::sin(west)), ez = 2 * layer.half_length;
+  const double nominal = layer.phi_east + number * (2 * pi / layer.cells);
+  const double east = nominal + layer.east.rotation, west = nominal - layer.twist + layer.west.rotation;
+  const double ex = layer.r_end * (std::cos(east) - std::cos(west)) + (layer.east.x - layer.west.x),
+               ey = layer.r_end * (std::sin(east) - std::sin(west)) + (layer.east.y - layer.west.y),
+               ez = 2 * layer.half_length;
   const double length = std::sqrt(ex * ex + ey * ey + ez * ez);
-  return {0.5 * layer.r_end * (std::cos(east) + std::cos(west)),
-          0.5 * layer.r_end * (std::sin(east) + std::sin(west)), ex / length, ey / length, ez / length};
+  const double x = 0.5 * layer.r_end * (std::cos(east) + std::cos(west)) +
+                   0.5 * (layer.east.x + layer.west.x),
+               y = 0.5 * layer.r_end * (std::sin(east) + std::sin(west)) +
+                   0.5 * (layer.east.y + layer.west.y);
+  return {x - layer.middle * (ex / ez), y - layer.middle * (ey / ez), ex / length, ey / length, ez / length};
 }
 
 // Wires are spread over the memory.
@@ -29,7 +35,9 @@ inline void prefetch(const Wire& wire) {
 // Distance of the layer's wires from the beam line at z; smallest in the middle of a stereo layer.
 template <class T>
 T wire_radius(const WireLayer& layer, const T& z) {
-  return layer.flare == 0 ? T(layer.r_end) : sqrt(layer.waist + layer.flare * z * z);
+  if (layer.flare == 0) return T(layer.r_end);
+  const T along = z - layer.middle;
+  return sqrt(layer.waist + layer.flare * along * along);
 }
 
 // Error of a drift distance that is not negative, mm.
@@ -40,11 +48,11 @@ T drift_error(const WireLayer& layer, const T& distance) {
   return error;
 }
 
-// Azimuth of a wire at z, minus that at z = 0.
+// Azimuth of a wire at z, minus that in its middle.
 template <class T>
 T wire_azimuth(const WireLayer& layer, const T& z) {
   if (layer.twist_per_z == 0) return T(0.0);
-  const T t = z * layer.twist_per_z;
+  const T t = (z - layer.middle) * layer.twist_per_z;
   return t * atan_over(t);
 }
 

@@ -178,7 +178,7 @@ StateStatus traverse(LocalState& state, double radius, const Slab& slab, double 
                      const PropagationContext& context, bool outward) {
   const StateStatus moved = context.motion.to_cylinder(state, radius);
   if (moved != StateStatus::ok) return moved;
-  if (std::abs(state.z) > slab.half_length) return StateStatus::ok;
+  if (slab.ends.miss(state.z)) return StateStatus::ok;
   return cross(state, slab, part, context, outward, true) ? StateStatus::ok : StateStatus::stopped;
 }
 

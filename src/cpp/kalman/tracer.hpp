@@ -108,7 +108,7 @@ class Tracer {
       if constexpr (Observer::provides_hits) observer_.reaches(step, slab, motion_, reached);
       if (slab.gap >= 0) alive_ = alive_ & (reached | !wanted);
       for (std::int32_t s = step.first; s < step.last; ++s) meet_gap(slot(s), reached);
-      cross(slab, noise, reached & beyond & (abs(motion_.point().z) <= slab.half_length));
+      cross(slab, noise, reached & beyond & slab.ends.hold(motion_.point().z));
     }
     count_reached();
     observer_.ends(motion_);

@@ -55,7 +55,8 @@ class ElectronFlight {
     set_lane(way_, i, 0);
     set_lane(steps_, i, 0);
     set_lane(field_, i, own.bz / radius_per_kappa);
-    set_lane(half_length_, i, own.matter->half_length);
+    set_lane(z_min_, i, own.matter->z_min);
+    set_lane(z_max_, i, own.matter->z_max);
     draws_.set(i, own.stream, Purpose::deltas, own.place);
     const auto& layers = own.matter->layers;
     std::size_t layer = 0;
@@ -127,7 +128,7 @@ class ElectronFlight {
     move(middle, length);
     turn(e_, bend * length);
     steps_ += T(1.0);
-    const Mask goes_on = flying_ & slow_down(here, length) & (abs(e_.z) <= half_length_);
+    const Mask goes_on = flying_ & slow_down(here, length) & (e_.z >= z_min_) & (e_.z <= z_max_);
     if (const Mask soft = goes_on & (here.soft > 0.0); any(soft))
       scatter(soft, soft_scatter(here, length, open_unit(words[3])), words[2], 16);
     if (const Mask hard = goes_on & !leaves & (length == free_path); any(hard))
@@ -247,9 +248,10 @@ class ElectronFlight {
   Mask flying_{false}, in_gap_{false}, inside_{false};
   BlockSeries<T> draws_;
   ElectronOf<T> e_{};
-  T field_{0.0}, half_length_{0.0}, way_{0.0}, steps_{0.0};  // field: rad/mm at 1 GeV/c
-  T w_in_{0.0}, w_out_{0.0}, depth_{0.0}, density_{0.0};     // of the layer
-  T from_u_{0.0}, from_w_{0.0}, from_z_{0.0}, left_{0.0};    // the piece so far
+  T field_{0.0}, way_{0.0}, steps_{0.0};                   // field: rad/mm at 1 GeV/c
+  T z_min_{0.0}, z_max_{0.0};                              // of the layer
+  T w_in_{0.0}, w_out_{0.0}, depth_{0.0}, density_{0.0};   // of the layer
+  T from_u_{0.0}, from_w_{0.0}, from_z_{0.0}, left_{0.0};  // the piece so far
 };
 
 }  // namespace cgemit

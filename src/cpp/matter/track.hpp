@@ -40,7 +40,7 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   TrackMatterOf<T> total;
   mask_of<T> inside(true), chamber(true);  // as in `motion/reach.hpp`
   for (const Slab& slab : detector.slabs) {
-    mask_of<T> met = inside & (abs(tanl) * slab.radius <= slab.half_length);
+    mask_of<T> met = inside & slab.ends.hold(tanl * slab.radius);
     if (slab.filler == Filler::chamber_gas) {
       met = chamber & met;
       if (!slab.reopens) chamber = met;
@@ -48,7 +48,7 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
     total.x0 += select(met, T(slab.x0), 0.0);
     total.xi += select(met, T(slab.xi * slab.unseen), 0.0);
     total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
-    inside = inside & (chamber | (abs(tanl) <= slab.steepest_beyond));
+    inside = inside & (chamber | slab.slopes_beyond.hold(tanl));
   }
   total.path = sqrt(1.0 + tanl * tanl);
   total.x0 *= total.path;

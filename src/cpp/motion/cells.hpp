@@ -33,10 +33,10 @@ struct CellBorders {
     const T below = index > 0 ? wire_radius(wires[index - 1], z) : T(-HUGE_VAL);
     const T above = index + 1 < wires.size() ? wire_radius(wires[index + 1], z) : T(HUGE_VAL);
     T half_in = 0.5 * (here - below), half_out = 0.5 * (above - here);
-    const bool ends_in = index > 0 && wires[index - 1].borders < HUGE_VAL,
-               ends_out = index + 1 < wires.size() && wires[index + 1].borders < HUGE_VAL;
-    if (ends_in) half_in = select(abs(z) > wires[index - 1].borders, T(HUGE_VAL), half_in);
-    if (ends_out) half_out = select(abs(z) > wires[index + 1].borders, T(HUGE_VAL), half_out);
+    const bool ends_in = index > 0 && wires[index - 1].has_borders(),
+               ends_out = index + 1 < wires.size() && wires[index + 1].has_borders();
+    if (ends_in) half_in = select(wires[index - 1].borders.miss(z), T(HUGE_VAL), half_in);
+    if (ends_out) half_out = select(wires[index + 1].borders.miss(z), T(HUGE_VAL), half_out);
     if (index == 0 || ends_in)
       half_in = select(half_in < HUGE_VAL, half_in, smaller(half_out, pi * here / wires[index].cells));
     if (index + 1 == wires.size() || ends_out)

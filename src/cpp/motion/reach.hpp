@@ -25,7 +25,7 @@ struct Reach {
             bool back) {
     const T along = select(at.tanl < 0.0, -at.z, at.z);
     if (slab.filler == Filler::chamber_gas && !slab.reopens)
-      chamber = chamber & !(who & (along > slab.half_length));
+      chamber = chamber & !(who & (along > slab.ends.ahead(at.tanl)));
     who = who & !chamber;
     if (!any(who)) return;
     // The transverse path between two radii is at least their difference, and the track moves by tanl along
@@ -34,7 +34,7 @@ struct Reach {
     mask_of<T> more(false);
     for (std::size_t i = back ? 0 : slab.parts_inside; i < detector.parts.size(); ++i) {
       const double apart = std::abs(detector.parts[i].radius - slab.radius);
-      more = more | (along + (least * apart) * abs(at.tanl) <= detector.parts[i].half_length);
+      more = more | (along + (least * apart) * abs(at.tanl) <= detector.parts[i].ends.ahead(at.tanl));
     }
     parts = parts & ((!who) | more);
   }

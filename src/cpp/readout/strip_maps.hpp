@@ -57,8 +57,8 @@ class StripMask {
   std::int32_t bridge_ = 0;
 };
 
-// Relative gain by layer: each sheet has a grid of cells, rows along z from -half_length to half_length, and
-// columns along X. A layer without a grid has gain 1.
+// Relative gain by layer: each sheet has a grid of cells, rows along z from one end to the other, and columns
+// along X. A layer without a grid has gain 1.
 class GainMaps {
  public:
   GainMaps() = default;
@@ -89,7 +89,8 @@ class GainMaps {
     const MeasuringLayer& plane = detector.layers[layer];
     for (int sheet = 0; sheet < plane.sheets; ++sheet) {
       const double across = local_x(plane, sheet, phi) / plane.sheet_width();
-      if (across < 1) return cell(grids_[layer], sheet, across, 0.5 * (z / plane.half_length + 1));
+      const double along = 0.5 * ((z - plane.ends.middle()) / plane.ends.half() + 1);
+      if (across < 1) return cell(grids_[layer], sheet, across, along);
     }
     return 1;
   }

@@ -58,9 +58,12 @@ def test_calibration(events):
     assert np.abs(np.array(list(found.zero_time.values())) - bes3_layout.ZERO).max() < bes3_layout.TICK
     time = np.linspace(10.0, 200.0, 20)
     assert {layer for layer, _ in found.relation} >= set(range(8))
-    known = found.distance(np.full(20, 3), time)
+    known = found.distance(events.detector, np.full(20, 3), time)
     assert np.abs(known - BESIII.distance_at(time)).max() < 0.1  # mm
-    assert np.array_equal(bes3_wires.DriftCalibration().distance(np.full(20, 3), time), BESIII.distance_at(time))
+    none = bes3_wires.DriftCalibration()
+    assert np.array_equal(none.distance(events.detector, np.full(20, 3), time), BESIII.distance_at(time))
+    slower = events.detector.with_overrides({"drift_chamber.layers.3.drift_velocity": "20 um/ns"})
+    assert none.distance(slower, np.full(20, 3), time) == pytest.approx(0.02 * time)
 
 
 def test_tracks_of_all_hits(run, events):

@@ -13,7 +13,7 @@ import pytest
 import cgemit as cg
 from cgemit.detector import DetectorError, WireLayer, schema, slabs
 from cgemit.detector.delphes import card_of
-from cgemit.detector.drift import BESIII, relation_of
+from cgemit.detector.drift import BESIII, DriftRelation, read_by, relation_of, relations_of
 
 GAS = {"density": "3.913e-4 g/cm3", "composition": {"He": 0.3827, "C": 0.5103, "H": 0.1070}, "gas": True}
 A1 = {"layers": 8, "r_in": "350 mm", "cells": "12 mm", "stereo": ["50 mrad", "-50 mrad"]}
@@ -285,9 +285,11 @@ def test_files_with_a_base(tmp_path: Path) -> None:
     shorter = cg.load(base | {"drift_chamber": {"half_length": "1500 mm"}})
     assert layers_of(shorter) == layers_of(chamber(A1, A2, half_length="1500 mm"))
     own = chamber(A1, A2)["drift_chamber"] | {"gas": "MdcGas"}
-    assert layers_of({"base": "kloe2-like", "remove": ["cgem", "walls"], "drift_chamber": own}) == layers_of(
-        chamber(A1, A2)
-    )
+    expected = layers_of(chamber(A1, A2, drift_velocity="25 um/ns"))  # of the base
+    tables = {"remove": ["cgem", "walls"], "drift_chamber": own}
+    assert layers_of(tables | {"base": "kloe2-like"}) == expected
+    changes = {f"drift_chamber.{name}": value for name, value in own.items()}
+    assert layers_of(cg.load("kloe2-like").with_overrides(changes)) == expected
 
 
 def _toml(tables: dict[str, Any]) -> str:
@@ -426,28 +428,95 @@ POINTS = [{"distance": f"{d} mm", "time": f"{t} ns"} for d, t in ((0, 0), (4, 10
 ERRORS = [{"distance": f"{d} mm", "sigma": f"{s} um"} for d, s in ((0, 200), (2, 100), (5, 130))]
 
 
+def first_relation(detector: cg.Detector) -> DriftRelation:
+    assert detector.drift_chamber is not None
+    return relation_of(detector.drift_chamber.layers[0])
+
+
 def test_each_chamber_has_a_relation_of_drift_distance_and_time() -> None:
     """Times by hand: 6 mm are 100 ns + 2 mm of 50 ns/mm; 10 mm continue the last line; 25 um/ns is 240 ns for 6 mm."""
     own = cg.load(chamber(A1, drift_relation=POINTS))
-    relation = relation_of(own)
+    relation = first_relation(own)
     for preset in ("idea-like", "besiii-cgem"):
         changed = cg.load(preset).with_overrides({"drift_chamber.drift_relation": POINTS})
-        assert relation_of(changed).time.tolist() == [0.0, 100.0, 350.0]
+        assert first_relation(changed).time.tolist() == [0.0, 100.0, 350.0]
         back = changed.with_overrides({"drift_chamber.drift_velocity": "30 um/ns"})
-        assert relation_of(back).distance_at(100.0) == pytest.approx(3.0)
+        assert first_relation(back).distance_at(100.0) == pytest.approx(3.0)
     assert relation.distance_at([50.0, 200.0, 400.0]).tolist() == pytest.approx([2.0, 6.0, 10.0])
     assert relation.velocity_at([1.0, 6.0, 10.0]).tolist() == pytest.approx([0.04, 0.02, 0.02])
     assert cg.load(tomllib.loads(own.to_toml())) == own
     assert own.drift_chamber is not None
     assert "drift times of a table of 3 points" in own.drift_chamber.text()
     constant = cg.load(chamber(A1, drift_velocity="2.5 cm/us"))
-    assert relation_of(constant).distance_at(240.0) == pytest.approx(6.0)
+    assert first_relation(constant).distance_at(240.0) == pytest.approx(6.0)
     assert own.content_hash != constant.content_hash != cg.load(chamber(A1)).content_hash
-    assert relation_of(cg.load(chamber(A1))) is BESIII
+    assert first_relation(cg.load(chamber(A1))) is BESIII
     for detector, expected in ((own, 200.0), (constant, 240.0), (cg.load(chamber(A1)), 210.9)):
         hits = cg.run(detector, cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3)), 100, 1, until="digitize").wire_hits
         near = np.abs(hits["drift"] - 6.0) < 0.05
         assert np.median(hits["drift_time"][near]) == pytest.approx(expected, abs=4)
+
+
+def of_their_own() -> cg.Detector:
+    """BESIII with layer 9 of the table, layer 10 of 20 um/ns and both 7 ns late; layer 11 has another error."""
+    layers = {
+        "9": {"drift_relation": POINTS, "t0": "7 ns"}, "10": {"drift_velocity": "20 um/ns", "t0": "7 ns"},
+        "11": {"sigma": "300 um"},
+    }  # fmt: skip
+    return cg.load({"base": "besiii-cgem", "drift_chamber": {"layers": layers}})
+
+
+def test_layers_of_wires_have_relations_of_their_own() -> None:
+    """By hand: 6 mm are 200 + 7 ns in layer 9, 300 + 7 ns in layer 10, and 150 + 50 1.3/1.05 ns in the others."""
+    own = of_their_own()
+    assert own.drift_chamber is not None
+    assert cg.load(tomllib.loads(own.to_toml())) == own
+    assert "drift times of 3 relations" in own.drift_chamber.text()
+    relations, layer = relations_of(own), [8, 9, 10, 11]
+    times = [200 + 50 * 0.25 / 1.15, 207.0, 307.0, 200 + 50 * 0.25 / 1.15]
+    assert relations.distance_at(layer, times) == pytest.approx([6.0] * 4)
+    assert relations.velocity_at(layer, [6.0] * 4) == pytest.approx([1.15 / 50, 0.02, 0.02, 1.15 / 50])
+    hits = cg.run(own, cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3)), 100, 1, until="digitize").wire_hits
+    assert relations.distance_at(hits["layer"], hits["drift_time"]) == pytest.approx(hits["drift"], abs=1e-9)
+    for number, expected in zip(layer, times, strict=True):
+        near = (hits["layer"] == number) & (np.abs(hits["drift"] - 6.0) < 0.2)
+        assert np.median(hits["drift_time"][near]) == pytest.approx(expected, abs=4)
+    with pytest.raises(ValueError, match="no wire layer 7"):
+        relations.distance_at([7], [10.0])
+
+
+def test_a_superlayer_has_a_relation_of_its_own() -> None:
+    """A value of a layer takes the place of its superlayer's, and that of the chamber's."""
+    rows = {"A": {"layers": 2, "r_in": "300 mm", "cells": 150}, "B": {"layers": 2, "cells": 150, "t0": "4 ns"}}
+    rows["B"]["drift_velocity"] = "20 um/ns"
+    tables = chamber(drift_velocity="40 um/ns")
+    tables["drift_chamber"]["superlayers"] = rows
+    detector = cg.load(tables).with_overrides({"drift_chamber.layers.3.drift_relation": POINTS})
+    assert relations_of(detector).distance_at([0, 1, 2, 3], [104.0] * 4) == pytest.approx([4.16, 4.16, 2.0, 4.0])
+    assert cg.load(tomllib.loads(detector.to_toml())) == detector
+    # A new value of the chamber is that of all layers.
+    again = detector.with_overrides({"drift_chamber.drift_relation": POINTS, "drift_chamber.t0": "0 ns"})
+    assert relations_of(again).distance_at([0, 1, 2, 3], [100.0] * 4) == pytest.approx([4.0] * 4)
+
+
+def test_the_reconstruction_reads_drift_times_with_its_own_relation() -> None:
+    """A zero time of the fit that is 7 ns late takes v t0 from the distances; errors are those of its layers."""
+    plain = cg.load("besiii-cgem")
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.3, 0.3))
+    made = cg.run(plain, gun, 50, 1, until="digitize").wire_hits
+    other = cg.run(plain, gun, 50, 1, until="digitize", fit_detector=of_their_own()).wire_hits
+    times = made["drift_time"]
+    assert np.array_equal(times, other["drift_time"])
+    expected = {9: np.interp(times - 7, [0, 100, 350, 1350], [0, 4, 9, 29]), 10: 0.02 * (times - 7)}
+    for number, drift in expected.items():
+        rows = (made["layer"] == number) & (times > 7)
+        assert rows.sum() > 30
+        assert other["drift"][rows] == pytest.approx(drift[rows], abs=1e-9)
+    same = (made["layer"] != 9) & (made["layer"] != 10)
+    assert np.array_equal(other["drift"][same], made["drift"][same])
+    assert set(other["sigma"][made["layer"] == 11]) == {0.3}
+    assert np.array_equal(other["sigma"][made["layer"] == 12], made["sigma"][made["layer"] == 12])
+    assert read_by(plain, plain, made) is made
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_cathode_by_hand() -> None:
     assert table["x0"][2] == pytest.approx(sum(weights))
     assert table["radius"][2] == pytest.approx(centre)
     assert table["spread"][2] == pytest.approx(spread)
-    assert table["half_length"][2] == 266
+    assert table["z_max"][2] == 266
 
 
 def test_drift_gap_and_air() -> None:
@@ -96,7 +96,7 @@ def test_drift_gap_and_air() -> None:
     assert table["spread"][3] == pytest.approx(5 / math.sqrt(12))
     assert table["x0"][3] == pytest.approx(5 / 121650)
     assert group(1) == "air"
-    assert table["half_length"][1] == 1e9
+    assert table["z_max"][1] == 1e9
     assert table["x0"][1] == pytest.approx((table["r_in"][2] - 33.7) / 303900)
 
 
@@ -138,7 +138,7 @@ def test_chamber_gas_is_cut_at_the_wire_layers() -> None:
     assert table["r_in"][gas] == pytest.approx([183.2, *wires[:-1]])
     halves = [layer.half_length for layer in DESIGN.drift_chamber.layers]
     # The end plate steps outward; each lump reaches to the plate of the layer after it.
-    assert table["half_length"][gas] == pytest.approx(halves)
+    assert table["z_max"][gas] == pytest.approx(halves)
 
 
 def test_chamber_gas_is_merged_in_lumps() -> None:
@@ -148,11 +148,9 @@ def test_chamber_gas_is_merged_in_lumps() -> None:
     assert set(merged["r_out"][gas]) < set(single["r_out"][parts])
     assert np.all(merged["r_out"][gas] - merged["r_in"][gas] < 70)
     # What is joined ends at about the same z.
-    for r_in, r_out, half_length in zip(
-        merged["r_in"][gas], merged["r_out"][gas], merged["half_length"][gas], strict=True
-    ):
+    for r_in, r_out, half_length in zip(merged["r_in"][gas], merged["r_out"][gas], merged["z_max"][gas], strict=True):
         inside = parts & (single["r_in"] >= r_in - 1e-9) & (single["r_out"] <= r_out + 1e-9)
-        assert np.all(single["half_length"][inside] > half_length / 1.01)
+        assert np.all(single["z_max"][inside] > half_length / 1.01)
 
 
 def test_smeared_wires_add_their_matter() -> None:
@@ -171,7 +169,7 @@ def test_smeared_wires_add_their_matter() -> None:
 def test_readout_and_wire_tables() -> None:
     cgem, wires = layer_table(DESIGN.cgem), wire_table(load("besiii-idc").drift_chamber)
     assert cgem["r_readout"].tolist() == [87.5, 132.5, 175.0]
-    assert cgem["half_length"].tolist() == [266, 345, 423.5]
+    assert cgem["z_max"].tolist() == [266, 345, 423.5]
     assert cgem["phi_first"] == pytest.approx(np.array([[math.pi, math.pi], [math.pi, 0], [math.pi, 0]]))
     assert cgem["gid_first"].tolist() == [0, 2020, 5488]
     assert wires["gid_first"][:3].tolist() == [0, 40, 84]
@@ -253,7 +251,7 @@ def test_the_arguments_are_right_unchanged():
         ("wires", "cells", 2**31 - 1, "cells: got 2147483647"),
         ("wires", "number", -1, "number: got -1, expected 0 to 65535"),
         ("wires", "number", 2**31 - 1, "number: got 2147483647"),
-        ("wires", "half_length", 0.0, "half_length: got 0"),
+        ("wires", "z_max", -1e4, "z_max: got -10000"),
         ("wires", "r_end", np.nan, "r_end: got nan"),
         ("wires", "sigma", np.inf, "sigma: got inf"),
         ("wires", "efficiency", 2.0, "efficiency: got 2"),

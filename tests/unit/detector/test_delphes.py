@@ -234,10 +234,17 @@ def test_rows_that_overlap_keep_their_matter(tmp_path):
     assert detector.walls["MAG"].r_in == pytest.approx(3010)
 
 
-def test_unequal_ends_are_said(tmp_path):
-    detector = cg.load(card(tmp_path, SENSORS + "1 A -0.5 0.8 0.5 0.0008 0.08 0 0 0 0 0 0\n"))
-    assert detector.description == "barrel of a Delphes card; cut at the nearer end in z: A"
-    assert detector.walls["A"].half_length == 500
+def test_unequal_ends(tmp_path):
+    """Matter and layers have the ends of their rows, and a card of the detector states them again."""
+    rows = "1 A -0.5 0.8 0.5 0.0008 0.08 0 0 0 0 0 0\n1 B -0.9 0.6 0.6 0.0002 0.0937 2 0 1.5708 6e-6 6e-6 1\n"
+    detector = cg.load(card(tmp_path, SENSORS + rows))
+    assert detector.description == "barrel of a Delphes card"
+    assert detector.walls["A"].ends == (-500, 800)
+    assert detector.layer["B"].ends == (-900, 600)
+    lines = {line.split()[1]: line.split()[2:4] for line in card_of(detector).splitlines() if line.startswith("  1 ")}
+    assert (lines["A"], lines["B"]) == (["-0.5", "0.8"], ["-0.9", "0.6"])
+    long = cg.load(card(tmp_path, SENSORS + "1 A -9 100 0.5 0.0008 0.08 0 0 0 0 0 0\n"))
+    assert long.walls["A"].ends == (-5000, 5000)
 
 
 def test_a_card_is_a_base(tmp_path):

@@ -82,7 +82,7 @@ def test_matter_along_rays_is_ours(name: str, wires: str, tmp_path: Path) -> Non
     for tan_lambda in (0.3, -0.9, 1.4):
         slope, ours = math.hypot(1, tan_lambda), 0.0
         for shell in (shell for slab in slabs(detector, merge=False) for shell in slab.shells):
-            inside = abs(tan_lambda) * shell.r_out < shell.half_length
+            inside = abs(tan_lambda) * shell.r_out < shell.ends[1]
             air = shell.thickness / detector.air.x0 if shell.label != "wires" else 0.0
             ours += slope * (shell.x0 if inside else air)
         assert read.thickness(tan_lambda, stated=True) == pytest.approx(ours, rel=1e-9)

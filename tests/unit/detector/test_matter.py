@@ -422,12 +422,12 @@ def test_total_matter_ends_with_the_parts_behind_the_chamber(name, cuts):
     for tanl in (0.3, 0.99, 1.05, 1.13, 1.16, 1.4, 2.5, 4.0, -6.0):
         x0, left = 0.0, False
         for number, slab in enumerate(found):
-            met = abs(tanl) * slab.radius <= slab.row.numbers[0]
+            met = abs(tanl) * slab.radius <= slab.row.numbers[1]
             gas = slab.shells[0].group == "gas"
             left |= gas and not met
             x0 += slab.x0 if met and not (gas and left) else 0.0
             parts = [one for one in found[number + 1 :] if one.shells[0].group not in ("air", "gas")]
-            if left and not any(abs(tanl) * one.radius <= one.row.numbers[0] for one in parts):
+            if left and not any(abs(tanl) * one.radius <= one.row.numbers[1] for one in parts):
                 cuts -= 1
                 break
         assert _core.matter.total_matter(core, tanl)[0] == pytest.approx(x0 * math.hypot(1, tanl), rel=1e-12)

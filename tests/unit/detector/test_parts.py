@@ -13,12 +13,13 @@ from scipy.spatial.transform import Rotation
 import cgemit as cg
 from cgemit import Gun, Settings, _core, helix, load, run
 from cgemit.detector import DetectorError, compiled, slabs
-from cgemit.detector.core import grid_of, strip_gains, strip_lists
+from cgemit.detector.core import grid_of, strip_gains, strip_lists, wire_lists
 from cgemit.detector.layers.layer import PLACEMENT, Placed, local_v, seen_by
 from cgemit.fit_matter import tuned
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.truth import assign
+from tests.helpers.stats import assert_within
 
 DESIGN = load("besiii-cgem-design")
 DISPLACED = {"shift_x": 0.3, "shift_y": -0.2, "shift_z": 0.4, "tilt_x": 1e-3, "tilt_y": -0.7e-3, "rotation": 2e-3}
@@ -134,6 +135,53 @@ def test_wires(layer):
         assert abs(doca[0]) == pytest.approx(expected, abs=1e-5)
 
 
+ENDS = {
+    "east_shift_x": 0.5, "east_shift_y": -0.3, "east_rotation": 1e-3, "west_shift_x": -0.4, "west_shift_y": 0.2,
+    "west_rotation": -2e-3,
+}  # fmt: skip
+UNITS |= {name: "rad" if name.endswith("rotation") else "mm" for name in ENDS}
+
+
+@pytest.mark.parametrize("layer", [0, 15])
+@pytest.mark.parametrize("moved", [ENDS, ENDS | {"shift_x": 0.3, "tilt_y": 1e-3, "shift_z": 0.5}])
+def test_wires_of_a_displaced_layer(layer, moved):
+    """Ends turned and shifted by scipy in the layer, then with it, then with the chamber; other layers stay."""
+    number = DESIGN.drift_chamber.layers[layer].number
+    changes = {f"drift_chamber.layers.{number}.{name}": f"{value} {UNITS[name]}" for name, value in moved.items()}
+    chamber = {f"drift_chamber.{name}": f"{value} {UNITS[name]}" for name, value in DISPLACED.items()}
+    detector = DESIGN.with_overrides(changes | chamber)
+    wires = DESIGN.drift_chamber.layers[layer]
+    place = dict.fromkeys(DISPLACED, 0.0) | {name: moved[name] for name in DISPLACED.keys() & moved.keys()}
+
+    def carried(point, by):
+        turn = Rotation.from_euler("xyz", [by["tilt_x"], by["tilt_y"], by["rotation"]])
+        return turn.apply(point) + np.array([by["shift_x"], by["shift_y"], by["shift_z"]])
+
+    for wire in (0, 7, 31):
+        ends = []
+        for name, end in zip(("east", "west"), wires.end_points(wire), strict=True):
+            own = Rotation.from_euler("z", moved[f"{name}_rotation"]).apply(end)
+            own = own + np.array([moved[f"{name}_shift_x"], moved[f"{name}_shift_y"], 0.0])
+            ends.append(carried(own, place))
+        np.testing.assert_allclose(detector.drift_chamber.layers[layer].end_points(wire), ends, atol=1e-9)
+        assert expected_doca(detector, layer, wire, [carried(end, DISPLACED) for end in ends])
+    beside = 14 if layer else 1
+    ends = [carried(end, DISPLACED) for end in DESIGN.drift_chamber.layers[beside].end_points(3)]
+    assert expected_doca(detector, beside, 3, ends)
+    assert load(tomllib.loads(detector.to_toml())) == detector
+
+
+def expected_doca(detector, layer, wire, ends):
+    """Return whether a line comes as close to a wire of the core as to the straight line between two points."""
+    east, west = map(np.array, ends)
+    middle = 0.5 * (east + west)
+    start = np.array([[*(0.3 * middle[:2]), 40.0, *(middle[:2] / np.hypot(*middle[:2])), 0.2, 1e-13]])
+    _, doca, _, found = _core._testing.approach_wire(start, compiled(detector), layer, wire)
+    normal = np.cross([start[0, 3], start[0, 4], 0.2], east - west)
+    expected = abs((start[0, :3] - east) @ normal) / np.linalg.norm(normal)
+    return bool(found[0]) and abs(doca[0]) == pytest.approx(expected, abs=1e-5)
+
+
 def residuals(detector, fit_detector, n=300):
     found = run(
         detector, Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n, seed=3, settings=Settings.from_dict(EXACT),
@@ -146,9 +194,11 @@ def residuals(detector, fit_detector, n=300):
 def test_a_fit_that_knows_the_displacement(part):
     """Nine of ten tracks as without displacement, but for the cells that a chamber's wires bring; else far off."""
     plain = residuals(DESIGN, None)
-    moved = displaced(part, **DISPLACED)
+    check_known(plain, displaced(part, **DISPLACED), 1.0 if part == "drift_chamber" else 0.01)
+
+
+def check_known(plain, moved, limit):
     known, unknown = residuals(moved, None), residuals(moved, DESIGN)
-    limit = 1.0 if part == "drift_chamber" else 0.01
     off = []
     for name in ("dr", "phi0", "dz", "tanl", "p"):
         error = np.median(plain[f"err_{name}"])
@@ -158,6 +208,110 @@ def test_a_fit_that_knows_the_displacement(part):
         off.append(np.percentile(np.abs(shifts[1]), 90))
     assert max(off) > 1
     assert np.mean(unknown["chi2"]) > 1.1 * np.mean(known["chi2"])
+
+
+def test_a_fit_that_knows_displaced_wire_layers():
+    """Twelve layers, each end by its own way: their cells change hits of some tracks, as for the whole chamber."""
+    numbers = [layer.number for layer in DESIGN.drift_chamber.layers[:12]]
+    changes = {f"drift_chamber.layers.{n}.{key}": f"{x} {UNITS[key]}" for n in numbers for key, x in ENDS.items()}
+    check_known(residuals(DESIGN, None), DESIGN.with_overrides(changes), 1.0)
+
+
+@pytest.mark.parametrize("readout", ["gaussian", "binary", "tiger"])
+def test_displaced_sheets(readout):
+    """Clusters of displaced sheets are where the tracks are; a description in place is off by the displacement."""
+    moved = DESIGN.with_overrides(
+        {"cgem.L2.sheet_shift_z": ["0.5 mm", "-0.8 mm"], "cgem.L2.sheet_rotation": ["1 mrad", "-2 mrad"]}
+    )
+    assert load(tomllib.loads(moved.to_toml())) == moved
+    made = [
+        run(moved, Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 300, seed=3, fit_detector=other, readout=readout,
+            settings=None if readout == "tiger" else Settings.from_dict(EXACT))
+        for other in (moved, DESIGN)
+    ]  # fmt: skip
+    for part, shifts, turns in zip(made, ([0, 0], [0.5, -0.8]), ([0, 0], [1e-3, -2e-3]), strict=True):
+        clusters = part.clusters
+        rows = (clusters["layer"] == 1) & (clusters["view"] == 2) & (clusters["truth"] >= 0)
+        truth = part.truths[clusters["truth"][rows]]
+        dz, dphi = clusters["z"][rows] - truth["z"], helix.wrap_angle(clusters["phi"][rows] - truth["phi"])
+        for sheet in (0, 1):
+            mine = clusters["sheet"][rows] == sheet
+            assert mine.sum() > 80
+            for off, expected in ((dz[mine], -shifts[sheet]), (dphi[mine], -turns[sheet])):
+                assert_within(np.median(off), expected, 1.2533 * off.std() / np.sqrt(mine.sum()))
+    chi2 = [np.median(part.tracks["chi2"] / part.tracks["ndf"]) for part in made]
+    assert chi2[1] > 1.1 * chi2[0]
+
+
+def test_mistakes_of_displacements():
+    changes = {
+        "drift_chamber.layers.9.east_shift_x": "3 mm", "drift_chamber.layers.9.west_rotation": "0.1 rad",
+        "cgem.L2.sheet_shift_z": ["1 mm", "5 mm"], "cgem.L1.sheet_rotation": "1 mm",
+        "cgem.L3.sheet_rotation": ["1 mrad", "0 rad", "0 rad"],
+    }  # fmt: skip
+    with pytest.raises(DetectorError) as caught:
+        DESIGN.with_overrides(changes)
+    assert sorted(problem.path for problem in caught.value.problems) == [
+        "cgem.L1.sheet_rotation", "cgem.L2.sheet_shift_z[1]", "cgem.L3.sheet_rotation",
+        "drift_chamber.layers.9.east_shift_x", "drift_chamber.layers.9.west_rotation",
+    ]  # fmt: skip
+
+
+def test_dead_and_hot_wires():
+    """Hits of some wires vanish, others fire in every event; no track takes either, and none is missed there."""
+    plain = cg.load("besiii-cgem")
+    changed = plain.with_overrides(
+        {"drift_chamber.layers.12.dead": ["0-39"], "drift_chamber.layers.20.hot": ["5", "60-119"]}
+    )
+    assert load(tomllib.loads(changed.to_toml())) == changed
+    gun, n = Gun("mu-", p=1.0, cos_theta=(-0.6, 0.6)), 200
+    for finder in ("truth", "ckf"):
+        usual, found = (run(one, gun, n, seed=5, finder=finder) for one in (plain, changed))
+        layer, wire = found.wire_hits["layer"], found.wire_hits["wire"]
+        assert not ((layer == 12) & (wire < 40)).any()
+        for one in (5, 60, 119):
+            assert len(np.unique(found.wire_hits["event"][(layer == 20) & (wire == one)])) == n
+        hits = found.candidate_hits["row"][found.candidate_hits["view"] == 2]
+        hot = (layer == 20) & ((wire == 5) | (wire >= 60) & (wire < 120))
+        assert hot.sum() == 61 * n
+        assert not hot[hits].any()
+        taken = usual.wire_hits[usual.candidate_hits["row"][usual.candidate_hits["view"] == 2]]
+        dead = (taken["layer"] == 12) & (taken["wire"] < 40)
+        masked = dead | (taken["layer"] == 20) & ((taken["wire"] == 5) | (taken["wire"] >= 60) & (taken["wire"] < 120))
+        assert masked.sum() > 30
+        assert len(hits) == pytest.approx(len(taken) - masked.sum(), abs=5)
+        assert np.count_nonzero(found.tracks["status"] == 0) == np.count_nonzero(usual.tracks["status"] == 0)
+    strips = lists_of(changed)
+    assert (len(strips.dead), len(strips.hot)) == (40, 61)
+
+
+def lists_of(detector):
+    return wire_lists(detector.drift_chamber)
+
+
+def test_the_covariance_knows_dead_wires():
+    """Without the wires of six layers as without these layers, but for their gas; without all hits of others: more."""
+    few = {
+        f"drift_chamber.layers.{n}.dead": [f"0-{DESIGN.drift_chamber.layers[n - 8].cells - 1}"] for n in range(36, 42)
+    }
+    dead = DESIGN.with_overrides(few)
+    silent = DESIGN.with_overrides({f"drift_chamber.layers.{n}.efficiency": 0.0 for n in range(36, 42)})
+    expected, found, full = (cg.analytic(one, "mu-", p=[0.3, 1.0], cos_theta=0.2) for one in (silent, dead, DESIGN))
+    np.testing.assert_allclose(found.sigma("p"), expected.sigma("p"), rtol=1e-12)
+    assert (found.sigma("p") > 1.04 * full.sigma("p")).all()
+
+
+def test_mistakes_of_dead_and_hot_wires():
+    changes = {
+        "drift_chamber.layers.9.dead": ["0:3", "5"], "drift_chamber.layers.10.dead": ["7-3"],
+        "drift_chamber.layers.11.hot": ["5000"], "drift_chamber.layers.12.hot": "5",
+    }  # fmt: skip
+    with pytest.raises(DetectorError) as caught:
+        DESIGN.with_overrides(changes)
+    assert sorted(problem.path for problem in caught.value.problems) == [
+        "drift_chamber.layers.10.dead[0]", "drift_chamber.layers.11.hot[0]", "drift_chamber.layers.12.hot",
+        "drift_chamber.layers.9.dead[0]",
+    ]  # fmt: skip
 
 
 def test_clusters_of_a_shifted_layer():

@@ -284,12 +284,12 @@ def test_electrons_start_in_matter(name: str) -> None:
     r, z = np.hypot(electrons["x"], electrons["y"]), electrons["z"]
     shells = [shell for slab in slabs(detector, merge=False) for shell in slab.shells]
     inside = [
-        (shell.r_in - 1e-9 <= r) & (r <= shell.r_out + 1e-9) & (np.abs(z) <= min(shell.half_length, 400))
+        (shell.r_in - 1e-9 <= r) & (r <= shell.r_out + 1e-9) & (np.abs(z) <= min(shell.ends[1], 400))
         for shell in shells
     ]
     assert np.all(np.any(inside, axis=0))
     middle = np.array([0.5 * (shell.r_in + shell.r_out) for shell in shells])
-    weight = np.array([shell.x0 * min(shell.half_length, 400) for shell in shells]) * middle**-1.2
+    weight = np.array([shell.x0 * min(shell.ends[1], 400) for shell in shells]) * middle**-1.2
     wall = detector.walls[0]
     for low, high in ((0, detector.beam_pipe[-1].r_out), (wall.r_in, wall.r_out), (wall.r_out, 1000)):
         share = weight[(low < middle) & (middle < high)].sum() / weight.sum()

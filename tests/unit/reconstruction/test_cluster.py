@@ -138,7 +138,7 @@ def test_azimuth_at_mid_gap(design):
 
 def crossing_strip(layer, x, z):
     """V strip under a local position."""
-    stereo, half = LAYERS["stereo"][layer], LAYERS["half_length"][layer]
+    stereo, half = LAYERS["stereo"][layer], LAYERS["z_max"][layer]
     return int((x * np.cos(stereo) + (np.copysign(half, stereo) - z) * np.sin(stereo)) / PITCH)
 
 
@@ -150,7 +150,7 @@ def test_xv_cluster_has_the_z_of_the_crossing(design, layer):
     rows = x_strips(x_strip, layer=layer, charge=2.0) + v_strips(v_strip, layer=layer, charge=3.0)
     clusters = cluster(design, digi_table(rows))
     x, v, xv = (clusters[i : i + 1] for i in range(3))
-    stereo, half = LAYERS["stereo"][layer], LAYERS["half_length"][layer]
+    stereo, half = LAYERS["stereo"][layer], LAYERS["z_max"][layer]
     z_found = xv["z"][0]
     from_ref = np.copysign(half, stereo) - z_found
     np.testing.assert_allclose(x["x"] * np.cos(stereo) + from_ref * np.sin(stereo), v["v"])

@@ -10,7 +10,6 @@ from cgemit import _core, analytic
 from cgemit.chain.run import run
 from cgemit.detector import compiled, gas, load
 from cgemit.detector.core import layer_table
-from cgemit.detector.drift import BESIII
 from cgemit.detector.readouts import BinaryReadout, GaussianReadout
 from cgemit.particles.gun import Gun
 from cgemit.reconstruction.cluster import cluster
@@ -116,7 +115,7 @@ def test_gid_counts_layer_sheet_view_strip():
     for layer, part in enumerate(detector.cgem):
         for sheet in range(part.sheets):
             phi = np.linspace(-np.pi, np.pi, 4001)[:-1]
-            z = np.linspace(-0.99, 0.99, 4000) * layers["half_length"][layer]
+            z = np.linspace(-0.99, 0.99, 4000) * layers["z_max"][layer]
             r = layers["r_gap_in"][layer]
             points = np.column_stack([r * np.cos(phi), r * np.sin(phi), z])
             digis = read_out(detector, gem_toy.truth_columns(np.arange(4000), layer, points, points), n_events=4000)
@@ -300,8 +299,6 @@ def wire_hits(detector, truths, reveal_sides=False, seed=1):
     return _core.simulation.read_out_wires(
         detector,
         truths | {"delay": np.zeros(len(truths["event"]))},
-        xt_distance=BESIII.distance,
-        xt_time=BESIII.time,
         reveal_sides=reveal_sides,
         seed=seed,
     )
@@ -428,7 +425,7 @@ def unrolled(columns, entry, exit_, margin):
     share = np.linspace(0, 1, SAMPLES)
     short_way = np.angle(np.exp(1j * (phi_2 - phi_1)))
     phi, z = phi_1 + share * short_way, z_1 + share * (z_2 - z_1)
-    r, half = columns["r_readout"][0], columns["half_length"][0]
+    r, half = columns["r_readout"][0], columns["z_max"][0]
     width = columns["strips_x"][0] * columns["pitch_x"][0]
     sheet, x = np.full(SAMPLES, -1), np.zeros(SAMPLES)
     for s in range(columns["sheets"][0]):
@@ -480,7 +477,7 @@ def test_any_segment_fires_the_strips_under_it(index, phi, z, turn, rise, mirror
     """Both stereo signs, V strips at the corner and off it, across sheet edges, seams and ends."""
     sign = -1 if mirrored else 1
     columns = layer_columns(index, stereo=sign * gem_toy.design_layers()["stereo"][index], offset_v=offset)
-    z *= columns["half_length"][0]
+    z *= columns["z_max"][0]
     assert_brute_force(columns, (phi, z), (phi + turn, z + rise))
 
 
@@ -506,7 +503,7 @@ def test_segments_at_the_seams(sheet, before, turn, z, rise):
 def test_segments_at_the_ends(side, z, rise, phi):
     """Starts within 3 mm of an end of the active length."""
     columns = layer_columns(2)
-    z += side * columns["half_length"][0]
+    z += side * columns["z_max"][0]
     assert_brute_force(columns, (phi, z), (phi + 0.001, z + rise))
 
 
@@ -541,7 +538,7 @@ def at(columns, sheet, x, z):
 def test_hand_worked_strips():
     """From X = 0.60 to 1.40 mm at pitch 0.65: strips 0, 1, 2; V from its formula."""
     columns = layer_columns(0)
-    stereo, half = columns["stereo"][0], columns["half_length"][0]
+    stereo, half = columns["stereo"][0], columns["z_max"][0]
     result = fired(columns, at(columns, 0, 0.60, 10.0), at(columns, 0, 1.40, 10.0))
     v = [x * np.cos(stereo) + (half - 10.0) * np.sin(stereo) for x in (0.60, 1.40)]
     first, last = (int(value / 0.65) for value in v)
@@ -552,7 +549,7 @@ def test_hand_worked_strips():
 def test_first_and_last_v_strip(index):
     """V strip 0 starts at X = 0 and z_ref; the corner opposite lies beyond the last V strip and has X strips only."""
     columns = layer_columns(index)
-    z_ref = np.copysign(columns["half_length"][0], columns["stereo"][0])
+    z_ref = np.copysign(columns["z_max"][0], columns["stereo"][0])
     width = columns["strips_x"][0] * 0.65
     near = fired(columns, at(columns, 0, 1e-6, 0.9999999 * z_ref), at(columns, 0, 0.01, 0.9999999 * z_ref))
     far = fired(columns, at(columns, 0, width - 0.05, -0.99999 * z_ref), at(columns, 0, width - 0.01, -0.99999 * z_ref))
@@ -564,7 +561,7 @@ def test_first_and_last_v_strip(index):
 def test_v_strips_off_the_corner(index):
     """With an offset of 0.9 strips the corner has X strips only up to V = 0.9 pitch, where V strip 0 begins."""
     columns = layer_columns(index, offset_v=0.9)
-    z_ref, stereo = np.copysign(columns["half_length"][0], columns["stereo"][0]), columns["stereo"][0]
+    z_ref, stereo = np.copysign(columns["z_max"][0], columns["stereo"][0]), columns["stereo"][0]
 
     def along_z(v_1, v_2):
         points = [at(columns, 0, 0.01, z_ref - (v - 0.01 * np.cos(stereo)) / np.sin(stereo)) for v in (v_1, v_2)]

@@ -14,7 +14,17 @@ import numpy as np
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem, Problems
 from cgemit.detector.keys import CENTRED, Key, key, keys_of, once, plain
-from cgemit.detector.layers.layer import READOUT_KEY, Layer, StripRanges, SubLayer, slabs_of, strip_text, whole
+from cgemit.detector.layers.layer import (
+    FAR,
+    READOUT_KEY,
+    ROTATION,
+    Layer,
+    StripRanges,
+    SubLayer,
+    slabs_of,
+    strip_text,
+    whole,
+)
 from cgemit.detector.material import Material
 from cgemit.detector.readouts import READOUTS, BinaryReadout, GaussianReadout, Readout
 from cgemit.detector.shells import TOUCH, Holes, Shell, Slab
@@ -105,7 +115,13 @@ class CgemLayer(Layer):
     dead_ends: float = field(metadata=key("length", "dead length at each end", 0.0, 2500.0), default=0.0)
     hot_x: StripRanges = field(metadata=key("strips", "X strips that fire in every event"), default=())
     hot_v: StripRanges = field(metadata=key("strips", "V strips that fire in every event"), default=())
-    # Of each sheet: rows along z from -length/2, each with numbers along X.
+    sheet_shift_z: tuple[float, ...] = field(  # mm
+        metadata=key("lengths", "shift of each sheet along the beam", -FAR, FAR, quiet=True), default=()
+    )
+    sheet_rotation: tuple[float, ...] = field(  # rad
+        metadata=key("angles", "turn of each sheet about the beam axis", -ROTATION, ROTATION, quiet=True), default=()
+    )
+    # Of each sheet: rows along z from the end at -z, each with numbers along X.
     gain_map: tuple[tuple[tuple[float, ...], ...], ...] = field(
         metadata=key("gains", "gain of each sheet, relative to that of the readout", 0.01, 100.0), default=()
     )
@@ -118,7 +134,7 @@ class CgemLayer(Layer):
     def text(self) -> str:
         """Return the layer in one line."""
         return (
-            f"r = {self.r_mid:.2f} mm (mid drift gap of {self.drift_gap:g} mm), length {self.length:g} mm, "
+            f"r = {self.r_mid:.2f} mm (mid drift gap of {self.drift_gap:g} mm), {self.length_text()}, "
             f"{self.sheets} x ({self.strips_x} X + {self.strips_v} V) strips, "
             f"stereo {math.degrees(self.stereo):+.2f} deg, readout {self.readout.name}{self.moved_text()}"
         )
@@ -163,13 +179,13 @@ class CgemLayer(Layer):
             ("foils", foils),
             ("anode", [(part.label, part.thickness, part.material) for part in self.anode]),
         )
-        radius, half_length, make = self.r_in, self.half_length, tuple.__new__  # half the time of Shell(...)
+        radius, ends, make = self.r_in, self.ends, tuple.__new__  # half the time of Shell(...)
         found = []
         for group, part in parts:
             shells = []
             for label, thickness, material in part:
                 r_in, radius = radius, radius + thickness
-                shells.append(make(Shell, (group, label, r_in, radius, half_length, material)))
+                shells.append(make(Shell, (group, label, r_in, radius, ends, material)))
             found.append(tuple(shells))
         return tuple(shells for shells in found if shells)
 
@@ -200,7 +216,7 @@ class CgemLayer(Layer):
     @classmethod
     def drop_replaced(cls, base: dict[str, Any], variant: Mapping[str, Any]) -> None:
         """Remove the derived values of a layer of the base that depend on changed values."""
-        changed = set(variant)
+        changed = set(variant) | ({"length"} if {"z_min", "z_max"} & variant.keys() else set())
         for name, depends in _DERIVED_FROM.items():
             if name not in variant and changed & depends:
                 old = plain(base.pop(name, None))
@@ -260,6 +276,10 @@ class CgemLayer(Layer):
                         expected = f"sheet 0 to {self.sheets - 1} and strips 0 to {strips - 1}, first to last"
                         path = f"{self.path}.{name}[{i}]"
                         problems.append(Problem(path, strip_text(sheet, first, last), expected))
+        for name in ("sheet_shift_z", "sheet_rotation"):
+            if len(given := getattr(self, name)) > self.sheets:
+                expected = f"at most {self.sheets}, one for each sheet"
+                problems.append(Problem(f"{self.path}.{name}", f"{len(given)} values", expected))
         if self.gain_map and len(self.gain_map) != self.sheets:
             given = f"gains of {len(self.gain_map)} sheets"
             problems.append(Problem(f"{self.path}.gain_map", given, f"those of {self.sheets}"))
@@ -312,6 +332,8 @@ class CgemLayer(Layer):
             "r_mid_gap_mm": self.r_mid,
             "r_readout_mm": self.r_readout,
             "length_mm": self.length,
+            "z_min_mm": self.ends[0],
+            "z_max_mm": self.ends[1],
             "drift_gap_mm": self.drift_gap,
             "hole_outer_um": 1000 * self.hole_outer,
             "hole_inner_um": 1000 * self.hole_inner,
@@ -395,8 +417,10 @@ def v_of_strips(layer: Layer, strips: Floats | float) -> Floats:
 
 
 #: The keys of a CGEM layer that its matter depends on.
-_MATTER = ("anode_radius", "length", "drift_gap", "transfer_gap", "induction_gap", "foils", "hole_outer", "hole_inner",
-           "hole_pitch", "gas", "cathode", "foil", "anode")  # fmt: skip
+_MATTER = (
+    "anode_radius", "length", "z_min", "z_max", "drift_gap", "transfer_gap", "induction_gap", "foils", "hole_outer",
+    "hole_inner", "hole_pitch", "gas", "cathode", "foil", "anode",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from cgemit.detector.keys import Key, Part, key
 from cgemit.detector.material import Material
 from cgemit.detector.readouts.positions import Precision
 from cgemit.detector.readouts.readout import Readout
-from cgemit.detector.shells import Shell, Slab
+from cgemit.detector.shells import Bounded, Shell, Slab
 
-_FAR, _TILT, _ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sought at other wires and strips
+FAR, _TILT, ROTATION = 2.0, 2e-3, 1e-2  # mm, rad: beyond, hits would be sought at other wires and strips
 _LAYER_Z, _LAYER_ROTATION = 10.0, 3e-2  # mm, rad: a layer of strips or positions that moves along itself
 
 
@@ -29,13 +29,23 @@ _LAYER_Z, _LAYER_ROTATION = 10.0, 3e-2  # mm, rad: a layer of strips or position
 class Placed(Part):
     """A part with six degrees of freedom: it is turned about the x, then y, then z axis, and then shifted."""
 
-    shift_x: float = field(metadata=key("length", "shift of the part along x", -_FAR, _FAR), default=0.0)  # mm
-    shift_y: float = field(metadata=key("length", "shift of the part along y", -_FAR, _FAR), default=0.0)  # mm
-    shift_z: float = field(metadata=key("length", "shift of the part along the beam", -_FAR, _FAR), default=0.0)  # mm
-    tilt_x: float = field(metadata=key("angle", "turn of the part about the x axis", -_TILT, _TILT), default=0.0)
-    tilt_y: float = field(metadata=key("angle", "turn of the part about the y axis", -_TILT, _TILT), default=0.0)
+    shift_x: float = field(
+        metadata=key("length", "shift of the part along x", -FAR, FAR, quiet=True), default=0.0
+    )  # mm
+    shift_y: float = field(
+        metadata=key("length", "shift of the part along y", -FAR, FAR, quiet=True), default=0.0
+    )  # mm
+    shift_z: float = field(
+        metadata=key("length", "shift of the part along the beam", -FAR, FAR, quiet=True), default=0.0
+    )  # mm
+    tilt_x: float = field(
+        metadata=key("angle", "turn of the part about the x axis", -_TILT, _TILT, quiet=True), default=0.0
+    )
+    tilt_y: float = field(
+        metadata=key("angle", "turn of the part about the y axis", -_TILT, _TILT, quiet=True), default=0.0
+    )
     rotation: float = field(
-        metadata=key("angle", "turn of the part about the beam axis", -_ROTATION, _ROTATION), default=0.0
+        metadata=key("angle", "turn of the part about the beam axis", -ROTATION, ROTATION, quiet=True), default=0.0
     )
 
     @property
@@ -133,7 +143,7 @@ StripRanges = tuple[tuple[int, int, int], ...]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Layer(Placed, ABC):
+class Layer(Placed, Bounded, ABC):
     """A layer that makes clusters: a readout surface with views X and V, and the matter around it.
 
     A kind of layer is a subclass in a file of its own, and a word in `cgemit.detector.layers.LAYER_KINDS`. It states
@@ -163,11 +173,14 @@ class Layer(Placed, ABC):
     usual_readout: ClassVar[Readout]
     sensitive: ClassVar[str]
 
+    short_form: ClassVar[tuple[str, float]] = ("length", 1.0)
+
     shift_z: float = field(
-        metadata=key("length", "shift of the part along the beam", -_LAYER_Z, _LAYER_Z), default=0.0
+        metadata=key("length", "shift of the part along the beam", -_LAYER_Z, _LAYER_Z, quiet=True), default=0.0
     )  # mm
     rotation: float = field(
-        metadata=key("angle", "turn of the part about the beam axis", -_LAYER_ROTATION, _LAYER_ROTATION), default=0.0
+        metadata=key("angle", "turn of the part about the beam axis", -_LAYER_ROTATION, _LAYER_ROTATION, quiet=True),
+        default=0.0,
     )
 
     label: str
@@ -190,6 +203,8 @@ class Layer(Placed, ABC):
     hot_v: StripRanges = ()
     dead_seam: float = 0.0
     dead_ends: float = 0.0
+    sheet_shift_z: tuple[float, ...] = ()  # mm
+    sheet_rotation: tuple[float, ...] = ()  # rad
     gain_map: tuple[tuple[tuple[float, ...], ...], ...] = ()
     lorentz_shift: float | None = None
 
@@ -279,20 +294,33 @@ class Layer(Placed, ABC):
         """Half of the active length, mm."""
         return 0.5 * self.length
 
-    def half_length_within(self, radius: float) -> float:
-        """Return the |z| up to which the layer is within a radius, mm; below 0 if it is nowhere."""
-        return self.half_length if self.r_gap_out <= radius else -math.inf
+    def ends_within(self, radius: float) -> tuple[float, float]:
+        """Return the z between which the layer is within a radius, mm; the first above the last if it is nowhere."""
+        return self.ends if self.r_gap_out <= radius else (math.inf, -math.inf)
 
     @property
     def z_ref(self) -> float:
         """The end from which V is counted, mm."""
-        return math.copysign(self.half_length, self.stereo)
+        low, high = self.ends
+        return high if self.stereo > 0 else low
 
     @property
     def sheet_phi(self) -> tuple[float, ...]:
         """Azimuth of X = 0 of each sheet, rad in (-pi, pi]."""
         turns = (self.phi_first + 2 * math.pi * i / self.sheets for i in range(self.sheets))
+        if own := self.sheet_rotation:
+            turns = (phi + own[i % len(own)] for i, phi in enumerate(turns))
         return tuple(math.pi - (math.pi - phi) % (2 * math.pi) for phi in turns)
+
+    @property
+    def sheet_z(self) -> tuple[float, ...]:
+        """Shift of each sheet along the beam in the layer, mm."""
+        own = self.sheet_shift_z or (0.0,)
+        return tuple(own[i % len(own)] for i in range(self.sheets))
+
+    def sheet_at(self, phi: Floats) -> Any:
+        """Return the sheet of azimuths, (n,) int, each the one that begins last before it."""
+        return np.argmin([np.remainder(phi - start, 2 * np.pi) for start in self.sheet_phi], axis=0)
 
     # What it measures
 

@@ -104,7 +104,7 @@ class MeasurementLayer(Layer):
         measured = ", ".join(f"{names[view]} to {1000 * errors[view]:.4g} um{inclined}" for view in self.views)
         x0 = 100 * sum(shell.x0 for shell in self.shells())
         return (
-            f"r = {self.radius:g} mm, length {self.length:g} mm, {x0:.3g} % X0 of {self.material.name}, "
+            f"r = {self.radius:g} mm, {self.length_text()}, {x0:.3g} % X0 of {self.material.name}, "
             f"{measured or 'measures nothing'}{self.moved_text()}"
         )
 
@@ -170,11 +170,11 @@ class MeasurementLayer(Layer):
 
     def stacks(self) -> tuple[tuple[Shell, ...], ...]:
         """Return the sensor, and the support behind it."""
-        sensor = Shell("sensor", self.material.name, self.r_gap_in, self.r_gap_out, self.half_length, self.material)
+        sensor = Shell("sensor", self.material.name, self.r_gap_in, self.r_gap_out, self.ends, self.material)
         radius, support = sensor.r_out, []
         for part in self.support:
             r_in, radius = radius, radius + part.thickness
-            support.append(Shell("support", part.label, r_in, radius, self.half_length, part.material))
+            support.append(Shell("support", part.label, r_in, radius, self.ends, part.material))
         return ((sensor,), tuple(support)) if support else ((sensor,),)
 
     def card_label(self, group: str) -> str:
@@ -275,6 +275,8 @@ class MeasurementLayer(Layer):
             "layer": self.label,
             "radius_mm": self.radius,
             "length_mm": self.length,
+            "z_min_mm": self.ends[0],
+            "z_max_mm": self.ends[1],
             "material": self.material.name,
             "thickness_mm": self.thickness,
             "views": " ".join(self.views),

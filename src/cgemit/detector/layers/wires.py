@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from itertools import accumulate
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem
 from cgemit.detector.keys import Part, key, once
-from cgemit.detector.layers.layer import Placed
+from cgemit.detector.layers.layer import FAR, ROTATION, Placed
 from cgemit.detector.material import Material
-from cgemit.detector.shells import TOUCH
+from cgemit.detector.shells import TOUCH, Bounded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class DriftPoint(Part):
     --------
     >>> points = [{"distance": "0 mm", "time": "0 ns"}, {"distance": "9 mm", "time": "350 ns"}]
     >>> det = cg.load("idea-like").with_overrides({"drift_chamber.drift_relation": points})
-    >>> [(one.distance, one.time) for one in det.drift_chamber.drift_relation]
+    >>> [(one.distance, one.time) for one in det.drift_chamber.layers[0].drift_relation]
     [(0.0, 0.0), (9.0, 350.0)]
     """
 
@@ -86,12 +86,33 @@ class CellWire(Part):
 _NODES = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6, 51.2, 102.4)
 
 
+WireRanges = tuple[tuple[int, int], ...]
+
+#: Wires of a list of wires.
+WIRES = r"([0-9]{1,6})(?:-([0-9]{1,6}))?"
+
+
+def wire_text(first: int, last: int) -> str:
+    """Return a range of wires as a file has it, such as ``17`` or ``100-120``."""
+    return f"{first}" if first == last else f"{first}-{last}"
+
+
+def _of_end(kind: str, doc: str, most: float) -> Any:
+    """Return the field of a displacement of the wires' ends."""
+    return field(metadata=key(kind, doc, -most, most, quiet=True), default=0.0)
+
+
+#: Keys of the displacement of the wires' ends.
+END_SHIFT = ("east_shift_x", "east_shift_y", "east_rotation", "west_shift_x", "west_shift_y", "west_rotation")
+
+
 @dataclass(frozen=True, kw_only=True)
-class WireLayer(Part):
+class WireLayer(Placed, Bounded):
     """One layer of drift cells.
 
-    Wire i starts at z = +half_length at azimuth phi_east + 2 pi i/cells and ends at z = -half_length at that azimuth
-    minus the twist, both at radius r_end; it is straight.
+    Wire i starts at z_max at azimuth phi_east + 2 pi i/cells and ends at z_min at that azimuth minus the twist, both at
+    radius r_end; it is straight. A displaced end, at +z (east) or -z (west), is turned about the beam line and then
+    shifted; the layer as a whole is then displaced in the chamber, and the chamber with it.
 
     Examples
     --------
@@ -135,6 +156,26 @@ class WireLayer(Part):
         ),
         default="unknown",
     )  # fmt: skip
+    drift_relation: tuple[DriftPoint, ...] = field(
+        metadata=key("relation", "drift distance against drift time (default: as in BESIII)", quiet=True), default=()
+    )
+    drift_velocity: float | None = field(  # mm/ns
+        metadata=key("speed", "constant drift velocity, instead of drift_relation", 1e-4, 1.0, quiet=True),
+        default=None,
+    )
+    t0: float = field(  # ns
+        metadata=key("time", "drift time of a signal at the wire, added to that relation", -1e5, 1e5, quiet=True),
+        default=0.0,
+    )
+    east_shift_x: float = _of_end("length", "shift of the wires' ends at +z along x", FAR)  # mm
+    east_shift_y: float = _of_end("length", "shift of the wires' ends at +z along y", FAR)  # mm
+    east_rotation: float = _of_end("angle", "turn of the wires' ends at +z about the beam axis", ROTATION)  # rad
+    west_shift_x: float = _of_end("length", "shift of the wires' ends at -z along x", FAR)  # mm
+    west_shift_y: float = _of_end("length", "shift of the wires' ends at -z along y", FAR)  # mm
+    west_rotation: float = _of_end("angle", "turn of the wires' ends at -z about the beam axis", ROTATION)  # rad
+    # (first wire, last wire) each.
+    dead: WireRanges = field(metadata=key("channels", "wires that never fire", quiet=True), default=())
+    hot: WireRanges = field(metadata=key("channels", "wires that fire in every event", quiet=True), default=())
 
     @cached_property
     def twist(self) -> float:
@@ -143,7 +184,7 @@ class WireLayer(Part):
 
     @cached_property
     def r_mid(self) -> float:
-        """Radius of the wires at z = 0, mm."""
+        """Radius of the wires in their middle, mm."""
         return self.r_end * math.cos(0.5 * self.twist)
 
     def error_at(self, distance: Floats | float) -> Any:
@@ -167,7 +208,7 @@ class WireLayer(Part):
         return nodes, np.hypot(own, (self.diffusion or 0.0) * np.sqrt(nodes))
 
     def wire_matter(self, wire_material: Material) -> tuple[tuple[Material, float], ...]:
-        """Return materials and mean X/X0 of the layer's wires at normal incidence and z = 0.
+        """Return materials and mean X/X0 of the layer's wires at normal incidence, in their middle.
 
         Of n wires with the cross-section A for each of N cells, a circle at the radius r of the wires crosses
         N n A/cos(stereo angle): spread over the circle they are N n A/(2 pi r cos(stereo angle)) thick.
@@ -183,24 +224,57 @@ class WireLayer(Part):
         per_area = self.cells * longer / (2 * math.pi * self.r_mid)
         return tuple((one.material, one.number * one.area * per_area / one.material.x0) for one in self.cell_wires)
 
+    def drift_text(self) -> str:
+        """Return where drift times come from."""
+        if self.drift_velocity:
+            text = f"of {1000 * self.drift_velocity:g} um/ns"
+        elif self.drift_relation:
+            text = f"of a table of {len(self.drift_relation)} points"
+        else:
+            text = "as in BESIII"
+        return f"{text} from {self.t0:g} ns" if self.t0 else text
+
     def radius_at(self, z: float) -> float:
         """Return the radius of the wires, or of their continuation, at z; both in mm."""
-        return math.hypot(self.r_mid, self.r_end * math.sin(0.5 * self.twist) * z / self.half_length)
+        along = (z - self.z_mid) / self.half_length
+        return math.hypot(self.r_mid, self.r_end * math.sin(0.5 * self.twist) * along)
 
     @property
     def z_readout(self) -> float:
         """Z of the end of the wires that is read out, mm; NaN if unknown."""
-        ends = {"-z": -1.0, "+z": 1.0, "alternating": 1.0 if self.number % 2 else -1.0}
-        return ends.get(self.readout_end, math.nan) * self.half_length
+        low, high = self.ends
+        return {"-z": low, "+z": high, "alternating": high if self.number % 2 else low}.get(self.readout_end, math.nan)
+
+    @property
+    def end_shift(self) -> tuple[float, ...]:
+        """Displacement of the ends, (6,): x, y (mm) and rotation (rad) of those at +z, then of those at -z."""
+        return tuple(getattr(self, name) for name in END_SHIFT)
+
+    @property
+    def is_displaced(self) -> bool:
+        """Whether the layer or an end of it is anywhere but where the description puts it in the chamber."""
+        return self.is_moved or any(self.end_shift)
+
+    def wire_ends(self, wires: Any) -> Floats:
+        """Return the ends of wires in the axes of the chamber, (n, 2, 3) mm: those at +z, then those at -z.
+
+        Parameters
+        ----------
+        wires : array_like, (n,) int
+        """
+        nominal = self.phi_east + 2 * math.pi * np.asarray(wires) / self.cells
+        (low, high), shifts = self.ends, (self.end_shift[:3], self.end_shift[3:])
+        found = []
+        for azimuth, z, (x, y, turn) in zip((nominal, nominal - self.twist), (high, low), shifts, strict=True):
+            across = self.r_end * np.cos(azimuth + turn) + x, self.r_end * np.sin(azimuth + turn) + y
+            found.append(np.stack([*across, np.full_like(across[0], z)], axis=-1))
+        points = np.stack(found, axis=-2)
+        return points @ self.turn + self.shift if self.is_moved else points
 
     def end_points(self, wire: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Return the ends of a wire, (x, y, z) in mm: first the one at +z, then the one at -z."""
-        east = self.phi_east + 2 * math.pi * wire / self.cells
-        west = east - self.twist
-        return (
-            (self.r_end * math.cos(east), self.r_end * math.sin(east), self.half_length),
-            (self.r_end * math.cos(west), self.r_end * math.sin(west), -self.half_length),
-        )
+        """Return the ends of a wire in the axes of the chamber, (x, y, z) in mm: first at +z, then at -z."""
+        east, west = (tuple(map(float, end)) for end in self.wire_ends(wire))
+        return east, west  # type: ignore[return-value]
 
     @property
     def path(self) -> str:
@@ -210,18 +284,34 @@ class WireLayer(Part):
     @once
     def problems(self) -> list[Problem]:
         """Return what is impossible about the layer alone, beside values out of the range of their key."""
-        if not abs(self.twist) > math.pi / 2:  # NaN of a value that could not be read
-            return []
-        given = f"{self.twist_cells:g} cells of {self.cells}"
-        return [Problem(f"{self.path}.twist_cells", given, "at most a quarter turn")]
+        problems = []  # none from the NaN of a value that could not be read
+        if abs(self.twist) > math.pi / 2:
+            given = f"{self.twist_cells:g} cells of {self.cells}"
+            problems.append(Problem(f"{self.path}.twist_cells", given, "at most a quarter turn"))
+        for name in ("dead", "hot"):
+            for i, (first, last) in enumerate(getattr(self, name)):
+                if first > last or last >= self.cells:
+                    expected = f"wires 0 to {self.cells - 1}, first to last"
+                    problems.append(Problem(f"{self.path}.{name}[{i}]", wire_text(first, last), expected))
+        return problems
 
-    def half_length_within(self, radius: float) -> float:
-        """Return the |z| up to which the wires are within a radius, mm; below 0 if they are nowhere."""
+    def ends_within(self, radius: float) -> tuple[float, float]:
+        """Return the z between which wires are within a radius, mm; the first above the last if they are nowhere."""
         if self.r_end <= radius:
-            return self.half_length
+            return self.ends
         if self.r_mid > radius:
-            return -math.inf
-        return self.half_length * math.sqrt((radius**2 - self.r_mid**2) / (self.r_end**2 - self.r_mid**2))
+            return math.inf, -math.inf
+        reach = self.half_length * math.sqrt((radius**2 - self.r_mid**2) / (self.r_end**2 - self.r_mid**2))
+        return self.z_mid - reach, self.z_mid + reach
+
+    def radii_between(self, low: float, high: float) -> tuple[float, float]:
+        """Return the smallest and the largest radius of the wires between two z, mm; NaN if they have no wires."""
+        first, last = self.ends
+        low, high = max(low, first), min(high, last)
+        if not low <= high:
+            return math.nan, math.nan
+        nearest = min(max(self.z_mid, low), high)
+        return self.radius_at(nearest), max(self.radius_at(low), self.radius_at(high))
 
     @property
     def tilt(self) -> float:
@@ -243,6 +333,8 @@ class WireLayer(Part):
             "r_end_mm": self.r_end,
             "r_mid_mm": self.r_mid,
             "half_length_mm": self.half_length,
+            "z_min_mm": self.ends[0],
+            "z_max_mm": self.ends[1],
             "twist_deg": math.degrees(self.twist),
             "tilt_mrad": 1000 * self.tilt,
             "phi_east_deg": math.degrees(self.phi_east),
@@ -271,6 +363,8 @@ class Superlayer(Part):
     [(192, 355.8, 369.6), (192, 367.7, 381.0)]
     """
 
+    short_form: ClassVar[tuple[str, float]] = Bounded.short_form
+
     label: str
     layers: int = field(metadata=key("integer", "number of wire layers", 1, 1000))
     r_in: float | None = field(  # None: where the superlayer before ends
@@ -291,6 +385,8 @@ class Superlayer(Part):
     )
     stagger: bool = field(metadata=key("boolean", "whether odd layers are turned by half a cell"), default=True)
     half_length: float = _of_wires("half_length")  # mm
+    z_min: float | None = _of_wires("z_min")  # mm
+    z_max: float | None = _of_wires("z_max")  # mm
     sigma: float = _of_wires("sigma")  # mm
     sigma_slope: float = _of_wires("sigma_slope")
     sigma_points: tuple[ErrorPoint, ...] = _of_wires("sigma_points")
@@ -301,6 +397,9 @@ class Superlayer(Part):
     gas: Material | None = _of_wires("gas")  # noqa: RUF009 (a Material is no function)
     signal_speed: float = _of_wires("signal_speed")  # mm/ns
     readout_end: str = _of_wires("readout_end")
+    drift_relation: tuple[DriftPoint, ...] = _of_wires("drift_relation")
+    drift_velocity: float | None = _of_wires("drift_velocity")  # mm/ns
+    t0: float = _of_wires("t0")  # ns
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -324,12 +423,6 @@ class DriftChamber(Placed):
             choices=("none", "smeared"),
         ),
         default="none",
-    )
-    drift_relation: tuple[DriftPoint, ...] = field(
-        metadata=key("relation", "drift distance against drift time"), default=()
-    )
-    drift_velocity: float | None = field(  # mm/ns
-        metadata=key("speed", "constant drift velocity, instead of drift_relation", 1e-4, 1.0), default=None
     )
     wire_material: Material = field(metadata=key("material", "material of smeared wires (default Al)", derived=True))
     first_gid: int = field(
@@ -359,10 +452,9 @@ class DriftChamber(Placed):
         return f"{wires}, matter of the wires {matter}, drift times {self.drift_text()}{self.moved_text()}"
 
     def drift_text(self) -> str:
-        """Return where drift times come from."""
-        if self.drift_velocity:
-            return f"of {1000 * self.drift_velocity:g} um/ns"
-        return f"of a table of {len(self.drift_relation)} points" if self.drift_relation else "as in BESIII"
+        """Return where drift times come from; only their number if layers differ."""
+        texts = list(dict.fromkeys(layer.drift_text() for layer in self.layers))
+        return texts[0] if len(texts) == 1 else f"of {len(texts)} relations"
 
     @property
     def gid_first(self) -> tuple[int, ...]:
@@ -406,21 +498,33 @@ class DriftChamber(Placed):
 
 
 def _crossed_wires(layers: Sequence[WireLayer], number: int) -> Problem | None:
-    """Return whether a layer crosses one inside of it at a |z| where both have wires.
+    """Return whether a layer crosses one inside of it at a z where both have wires.
 
-    The squares of the radii are linear in z squared, so that they are compared at 0 and at the nearer end. Layers
-    inside of one that is as long as this one have been compared with that one.
+    The difference of the squares of the radii is quadratic in z: they are compared where it is smallest or largest, and
+    at the ends of the part of z that both have. Layers inside of one that is as long as this one have been compared
+    with that one.
     """
     outer = layers[number]
     for inner in reversed(layers[:number]):
-        for z in (0.0, min(inner.half_length, outer.half_length)):
+        ends = list(zip(inner.ends, outer.ends, strict=True))
+        low, high = max(ends[0]), min(ends[1])
+        for z in _turning_points(inner, outer, low, high):
             if outer.radius_at(z) <= inner.radius_at(z) + TOUCH:
-                given = f"wires at r = {outer.radius_at(z):g} mm at |z| = {z:g} mm"
+                given = f"wires at r = {outer.radius_at(z):g} mm at z = {z:g} mm"
                 expected = f"more than the {inner.radius_at(z):g} mm of layer {inner.number} there"
                 return Problem(outer.path, given, expected)
-        if inner.half_length >= outer.half_length:
+        if (low, high) == outer.ends:
             break
     return None
+
+
+def _turning_points(one: WireLayer, other: WireLayer, low: float, high: float) -> Iterator[float]:
+    """Yield z between two ends where the distance of two layers may be smallest, mm."""
+    first, second = ((layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length) ** 2 for layer in (one, other))
+    z = (first * one.z_mid - second * other.z_mid) / (first - second) if first != second else 0.0
+    yield min(max(z, low), high)
+    yield high
+    yield low
 
 
 def _error_problems(wires: Sequence[WireLayer]) -> list[Problem]:
@@ -431,7 +535,7 @@ def _error_problems(wires: Sequence[WireLayer]) -> list[Problem]:
             continue
         # Tracks pass at most as far from the wire as an outer corner of its cell, midway to the next layer.
         others = (*wires[max(i - 1, 0) : i], *wires[i + 1 : i + 2])
-        apart = [abs(one.radius_at(z) - wire.radius_at(z)) for one in others for z in (0.0, wire.half_length)]
+        apart = [abs(one.radius_at(z) - wire.radius_at(z)) for one in others for z in (wire.z_mid, *wire.ends)]
         height = 0.5 * max(apart, default=2 * math.pi * wire.r_end / wire.cells)
         farthest = math.hypot(math.pi * (wire.r_end + height) / wire.cells, height)
         error = wire.sigma + wire.sigma_slope * farthest

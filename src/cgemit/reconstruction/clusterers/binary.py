@@ -121,7 +121,7 @@ def reference_widths(layer: dict[str, Any], bz: float, settings: ClusterSettings
     radii = np.array([layer["r_gap_in"], 0.5 * (layer["r_gap_in"] + layer["r_gap_out"]), layer["r_gap_out"]])
     turned, arc = path_to(radii[:, None], 1 / (settings.reference_p * sin_theta), bz)
     z = arc * cos_theta / sin_theta
-    crosses = (turned[2] < 0.5 * np.pi) & (np.abs(z[1]) <= layer["half_length"])
+    crosses = (turned[2] < 0.5 * np.pi) & (z[1] >= layer["z_min"]) & (z[1] <= layer["z_max"])
     dx = layer["r_readout"] * (turned[2] - turned[0])
     dv = dx * np.cos(layer["stereo"]) - (z[2] - z[0]) * np.sin(layer["stereo"])
     return dx[crosses], np.abs(dv[crosses])

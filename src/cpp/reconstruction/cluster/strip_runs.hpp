@@ -111,7 +111,7 @@ void find_pairs(const MeasuringLayer& layer, std::span<const ClusterRow> views, 
     for (std::size_t k = i + 1; k < views.size(); ++k) {
       if (views[k].view != ClusterView::v) continue;
       const double z = crossing_z(layer, views[i].x - views[i].shift, views[k].v - views[k].shift);
-      if (!(std::abs(z) > layer.half_length)) pairs.push_back({i, k, z, model.score(layer, views, i, k, z)});
+      if (!layer.ends.miss(z)) pairs.push_back({i, k, z, model.score(layer, views, i, k, z)});
     }
   }
 }

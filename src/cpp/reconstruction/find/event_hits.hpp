@@ -38,10 +38,12 @@ class EventHits {
         ++begin_[place(static_cast<std::size_t>(hit.layer), hit.view) + 1];
       } else {
         // Of several hits of a cell, the earliest counts. A hit from beyond the cell came too late for a
-        // track.
-        if (cell(hit) >= 0 || hit.value > reach(hit)) continue;
-        cell(hit) = static_cast<std::int32_t>(hits_.size());
+        // track; one of a hot wire is of no track.
         const auto layer = static_cast<std::size_t>(hit.layer);
+        if (cell(hit) >= 0 || hit.value > reach(hit) ||
+            detector_.wires[layer].is_masked(static_cast<std::size_t>(hit.channel)))
+          continue;
+        cell(hit) = static_cast<std::int32_t>(hits_.size());
         ++fired_[layer];
         prefetch(detector_.wires[layer].placed[static_cast<std::size_t>(hit.channel)]);
       }

@@ -44,18 +44,18 @@ class NearbyHits {
 
   void reaches(GroupStep& step, const Slab& slab, const HelixPoint& at, bool reached) {
     step.first = step.last = next_;
-    if (reached && std::abs(at.z) > slab.half_length) reach_.miss(detector_, slab, at, true, false);
+    if (reached && slab.ends.miss(at.z)) reach_.miss(detector_, slab, at, true, false);
     if (slab.gap < 0 || !reached || !reach_.parts) return;
     const auto index = static_cast<std::size_t>(slab.gap);
     const MeasuringLayer& layer = detector_.layers[index];
-    if (std::abs(at.z) > layer.half_length + 2 * window_) return;
+    if (layer.ends.miss(at.z, 2 * window_)) return;
     const double phi = std::atan2(at.y, at.x), around = 2 * pi * layer.r_readout;
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
       const double x = local_x(layer, sheet, phi);
       const double edge = layer.dead_seam > 0 ? seam + 0.5 * layer.dead_seam : seam;
       const bool whole = layer.sheets == 1 && layer.dead_seam == 0;
       const bool on = whole || (x > edge && x < layer.sheet_width() - edge);
-      if (on && std::abs(at.z) < layer.half_length - layer.dead_ends - seam) expected_[number(step)] = true;
+      if (on && layer.ends.hold(at.z, -layer.dead_ends - seam)) expected_[number(step)] = true;
     }
     for (const View view : {View::x, View::v}) {
       for (std::int32_t id = hits_->first(index, view); id < hits_->last(index, view); ++id) {
@@ -87,7 +87,7 @@ class NearbyHits {
     for (double c = -beside_; c <= count + beside_; c += 1) {
       const std::int64_t cell = cell_numbers(layer, begin + side * c)[0];
       const std::int32_t id = hits_->at(index, cell);
-      const bool crossed = c >= 0 && c <= count;
+      const bool crossed = c >= 0 && c <= count && !layer.is_masked(static_cast<std::size_t>(cell));
       if (id < 0 ? !crossed : !taken_ && hits_->is_taken(id)) continue;
       Slot<double>& slot = add(step, View::wire, index, id);
       slot.wire = layer.placed[static_cast<std::size_t>(cell)];
@@ -98,7 +98,7 @@ class NearbyHits {
   }
 
   bool on_wire(const Slot<double>& slot, double z) const {
-    return std::abs(z) <= detector_.wires[static_cast<std::size_t>(slot.layer)].half_length;
+    return detector_.wires[static_cast<std::size_t>(slot.layer)].ends.hold(z);
   }
 
   // Whether the reference crosses the active area of the gap of this step, away from its edges.

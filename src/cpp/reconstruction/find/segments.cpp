@@ -58,8 +58,7 @@ auto SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
     if (hits[id].channel != hits[point.id].channel || (!all_ && hits.is_taken(id))) continue;
     const double z = crossing_z(plane, hits[point.id].value, hits[id].value);
     const double score = hits.pair_score(point.id, id);
-    if (std::abs(z) < plane.half_length + 5 && score > PairScores::impossible)
-      made_.push_back({z, score, id});
+    if (plane.ends.hold(z, 5) && score > PairScores::impossible) made_.push_back({z, score, id});
   }
   range = Range{first, made_.size()};
   return *range;

@@ -61,7 +61,7 @@ void StereoSearch::wires(const FoundCircle& circle, const EventHits& hits) {
       const double q = -0.5 * (g1 + std::copysign(std::sqrt(root), g1));
       if (q == 0) continue;
       const double z = c / q;  // the root that stays finite for a straight track
-      if (std::abs(z) > layer.half_length) continue;
+      if (layer.ends.miss(z)) continue;
       const PivotApproach at = approach_pivot(start, wire.x + gx * z, wire.y + gy * z);
       if (!at.exists || at.arc < 0) continue;
       const double x = wire.x + gx * z, y = wire.y + gy * z, along = x * ux + y * uy,
@@ -87,7 +87,7 @@ void StereoSearch::strips(const FoundCircle& circle, const EventHits& hits) {
     for (std::int32_t v = hits.first(layer, View::v); v < hits.last(layer, View::v); ++v) {
       if (hits[v].channel != hits[x].channel || !hits.may_pair(x, v)) continue;
       const double z = crossing_z(plane, hits[x].value, hits[v].value);
-      if (std::abs(z) > plane.half_length + 5) continue;
+      if (plane.ends.miss(z, 5)) continue;
       heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32), 0});
     }
   }
@@ -107,7 +107,7 @@ void StereoSearch::strips_alone(const FoundCircle& circle, const EventHits& hits
       const double x = local_x(plane, hits[v].channel, phi);
       if (hits.is_taken(v) || x > plane.sheet_width()) continue;
       const double z = crossing_z(plane, x, hits[v].value);
-      if (std::abs(z) > plane.half_length + 5) continue;
+      if (plane.ends.miss(z, 5)) continue;
       heights_.push_back({s, z, strip_height_error, std::uint64_t{1} << (63 - layer % 32), 0});
     }
   }

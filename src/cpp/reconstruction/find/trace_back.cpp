@@ -18,7 +18,7 @@ Perigee trace_back(const Detector& detector, const Perigee& helix, double radius
     const Slab& slab = detector.slabs[i];
     if (slab.radius >= at.radius()) continue;
     if (!step_to_cylinder(at, slab.radius, arc)) break;  // the closest approach lies between two slabs
-    if (std::abs(at.z) > slab.half_length) continue;
+    if (slab.ends.miss(at.z)) continue;
     const Kinematics before =
         cross_inward(slab, path_factor(slab, sec_lambda, std::abs(at.outward())), now, track).before;
     at.w *= now.p / before.p;

@@ -201,7 +201,7 @@ class Collector {
     const int index = rules_.index(x.kind, x.layer);
     if (index < 0) return false;
     const MeasuringLayer& layer = layers_[static_cast<std::size_t>(index)];
-    return std::abs(crossing_z(layer, x.value, v.value)) <= layer.half_length + margin;
+    return layer.ends.hold(crossing_z(layer, x.value, v.value), margin);
   }
 
   // Takes from each V cluster what it has in common with the X cluster of the same crossing: one with no

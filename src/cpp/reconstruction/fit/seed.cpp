@@ -57,7 +57,7 @@ struct LineShape {
   template <class T>
   struct Point {
     T s, g0, g1, g2;
-    T reach;  // mm, largest possible |z| of the hit
+    T low, high;  // mm, ends of what measures the hit
     DriftCircle<T> drift_circle;
     T at(const T& z) const { return g0 + z * (g1 + z * g2); }
   };
@@ -71,7 +71,7 @@ struct LineShape {
     T n = 0.0, s1 = 0.0, s2 = 0.0, z1 = 0.0, sz = 0.0;
     void add(const Point<T>& p, const Line* about, const Attraction<T>& attraction) {
       const T z =
-          about != nullptr ? about->z0 + about->tanl * p.s : smaller(larger(-p.g0 / p.g1, -p.reach), p.reach);
+          about != nullptr ? about->z0 + about->tanl * p.s : smaller(larger(-p.g0 / p.g1, p.low), p.high);
       const T slope = p.g1 + 2.0 * z * p.g2, value = attraction.offset - p.at(z) + slope * z;
       const T row = attraction.weight * slope;
       n += row * slope;
@@ -167,6 +167,10 @@ struct Wires {
   Number each(double WireLayer::* member) const {
     return gathered<Number>([&](int i) { return layers[static_cast<std::size_t>(i)]->*member; });
   }
+  template <class Value>
+  Number each(Value&& value) const {
+    return gathered<Number>([&](int i) { return value(*layers[static_cast<std::size_t>(i)]); });
+  }
   Number each(double Wire::* member) const {
     return gathered<Number>([&](int i) { return wires[static_cast<std::size_t>(i)]->*member; });
   }
@@ -217,7 +221,8 @@ void add_wires(const Wires& wires, const Circle& circle, double error, LineFit& 
             circle.algebraic(x, y),
             nx * gx + ny * gy,
             -0.5 * circle.w * tilt,
-            wires.each(&WireLayer::half_length),
+            wires.each([](const WireLayer& one) { return one.ends.low; }),
+            wires.each([](const WireLayer& one) { return one.ends.high; }),
             {wires.drift, wires.side, 1 / error, sqrt(tilt) / error}},
            reached);
 }
@@ -253,13 +258,20 @@ LineShape::Point<double> strip_point(const MeasuringLayer& layer, const Hit& hit
   const double v = hit.value + hit.k * hit.x;
   // Near the sheet's first edge X may be off by one turn; z then lies outside the layer.
   double z = crossing_z(layer, x, v);
-  if (!measured && std::abs(z) > layer.half_length) {
-    const double less = crossing_z(layer, x - around, v), more = crossing_z(layer, x + around, v);
-    z = std::min({z, less, more}, [](double a, double b) { return std::abs(a) < std::abs(b); });
+  if (!measured && layer.ends.miss(z)) {
+    const double less = crossing_z(layer, x - around, v), more = crossing_z(layer, x + around, v),
+                 middle = layer.ends.middle();
+    z = std::min({z, less, more},
+                 [=](double a, double b) { return std::abs(a - middle) < std::abs(b - middle); });
   }
   const double error = measured ? strip_error : strip_error * scale;
-  return {s, -z * layer.sin_stereo, layer.sin_stereo,
-          0, layer.half_length,     {0, 1, 1 / error, std::abs(layer.sin_stereo) / error}};
+  return {s,
+          -z * layer.sin_stereo,
+          layer.sin_stereo,
+          0,
+          layer.ends.low,
+          layer.ends.high,
+          {0, 1, 1 / error, std::abs(layer.sin_stereo) / error}};
 }
 
 LineFit::Result find_line(const Detector& detector, std::span<const Hit> hits,
@@ -300,9 +312,10 @@ std::optional<Perigee> seed_from_azimuths(const Detector& detector, const WiresO
   // Weak constraints: curvature 1/300 mm, z0 300 mm, tanl 3.
   const auto weak = [](double sigma) { return error * error / (sigma * sigma); };
   if (wires.size() < 5) return std::nullopt;
-  const auto azimuth = [](const Wires& some) {
+  const auto azimuth = [](const Wires& some) {  // at z = 0
     return some.each(&WireLayer::phi_east) - 0.5 * some.each(&WireLayer::twist) +
-           some.channel / some.each(&WireLayer::per_radian);
+           some.channel / some.each(&WireLayer::per_radian) -
+           some.each(&WireLayer::twist_per_z) * some.each(&WireLayer::middle);
   };
   const double first = lane(azimuth(wires.packs().front()), 0);
   Five<double> found = Five<double>::zero();

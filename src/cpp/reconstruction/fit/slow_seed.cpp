@@ -35,7 +35,7 @@ Perigee before_loss(const Detector& detector, const Perigee& helix, double radiu
     const Slab& slab = *next;
     if (slab.radius >= radius) continue;
     if (!step_to_cylinder(point, slab.radius, arc)) break;
-    if (std::abs(point.z) > slab.half_length) continue;
+    if (slab.ends.miss(point.z)) continue;
     const double momentum = now.p;
     now = before(slab, path_factor(slab, sec_lambda, std::abs(point.outward())), now, track);
     kappa *= momentum / now.p;

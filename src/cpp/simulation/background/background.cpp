@@ -75,8 +75,8 @@ void add_hot_cells(const Detector& detector, const Stream& stream, std::int64_t 
 }
 
 bool in_dead_area(const MeasuringLayer& layer, double x, double z) {
-  const double beside = std::min(x, layer.sheet_width() - x), beyond = layer.half_length - std::abs(z);
-  return beside < 0.5 * layer.dead_seam || (layer.dead_ends > 0 && beyond < layer.dead_ends);
+  const double beside = std::min(x, layer.sheet_width() - x);
+  return beside < 0.5 * layer.dead_seam || (layer.dead_ends > 0 && !layer.ends.hold(z, -layer.dead_ends));
 }
 
 // Clusters at points of a layer that are uniform in azimuth and z.
@@ -88,7 +88,8 @@ void add_clusters(const Detector& detector, std::size_t index, const Stream& str
   for (int n = std::min(poisson(draws.next(), mean), most_in_layer); n > 0; --n) {
     const double around = draws.next() * layer.sheets;
     const int sheet = static_cast<int>(around);
-    const double x = (around - sheet) * layer.sheet_width(), z = (2 * draws.next() - 1) * layer.half_length;
+    const double x = (around - sheet) * layer.sheet_width(),
+                 z = layer.ends.middle() + (2 * draws.next() - 1) * layer.ends.half();
     const std::array<double, 2> size{draws.next(), draws.next()};
     if (in_dead_area(layer, x, z)) continue;
     const std::array<double, 2> middle{strips_of_x(layer, x), strips_of_v(layer, local_v(layer, x, z))};

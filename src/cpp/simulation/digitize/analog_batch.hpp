@@ -46,7 +46,7 @@ void induce_on_layer(const MeasuringLayer& layer, double phi, double z, CloudWid
                      StripSignals<T>& signals) {
   constexpr double reach = 6, least = 1e-6;  // widths; mm, of a cloud without diffusion
   const double sigma_x = std::max(width.x, least), sigma_z = std::max(width.z, least);
-  const double in_z = part_within(z, sigma_z, -layer.half_length, layer.half_length);
+  const double in_z = part_within(z, sigma_z, layer.ends.low, layer.ends.high);
   if (in_z <= 0) return;
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     double x = local_x(layer, sheet, phi);

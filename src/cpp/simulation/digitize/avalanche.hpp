@@ -218,7 +218,7 @@ inline void parts_on_sheet(const MeasuringLayer& layer, double x, double z, doub
       // At one V a step in x takes z along the strip.
       double from = -std::numeric_limits<double>::infinity(), to = -from;
       narrow(x + x_per_v * middle, 1, 0, layer.sheet_width(), from, to);
-      narrow(z + z_per_v * middle, cos / sin, -layer.half_length, layer.half_length, from, to);
+      narrow(z + z_per_v * middle, cos / sin, layer.ends.low, layer.ends.high, from, to);
       const double up_to = table.below_at(high / sigma_v);
       if (from < to) part += (up_to - before) * (table.below_at(to / rest_x) - table.below_at(from / rest_x));
       before = up_to;

@@ -34,7 +34,7 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
   const auto index = static_cast<std::size_t>(truths.layer[row]);
   const MeasuringLayer& layer = detector.layers[index];
   const PositionErrors& errors = readout.errors[index];
-  if (std::abs(truths.z[row]) > layer.half_length) return std::nullopt;
+  if (layer.ends.miss(truths.z[row])) return std::nullopt;
   const double per_energy = charge_per_energy(readout.gain, readout.w_values[index]);
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     const double x = local_x(layer, sheet, truths.phi[row]);

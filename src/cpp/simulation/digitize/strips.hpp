@@ -16,7 +16,7 @@ struct Point {
 // The part of a segment that lies on one sheet, in local coordinates.
 struct SheetPiece {
   int sheet;
-  double x1, z1, x2, z2;  // mm, 0 <= x <= sheet_width(), |z| <= half_length
+  double x1, z1, x2, z2;  // mm, 0 <= x <= sheet_width(), z between the ends
 };
 
 // A segment spans at most half a turn: only its first sheet can hold its end, too.
@@ -45,14 +45,14 @@ inline void narrow(double a, double d, double low, double high, double& t0, doub
 // Clips the segment from (x, z) over (dx, dz) to the sheet and appends the remaining part.
 inline void clip(const MeasuringLayer& layer, int sheet, double x, double z, double dx, double dz,
                  Pieces& pieces) {
-  const double width = layer.sheet_width(), half = layer.half_length;
+  const double width = layer.sheet_width();
   if (dx == 0 && x >= width) return;  // along the border: it belongs to the neighbour
   double t0 = 0, t1 = 1;
   narrow(x, dx, 0, width, t0, t1);
-  narrow(z, dz, -half, half, t0, t1);
+  narrow(z, dz, layer.ends.low, layer.ends.high, t0, t1);
   if (!(t0 < t1)) return;  // off the sheet, or it only touches the edge
   const auto inside_x = [&](double t) { return std::clamp(x + t * dx, 0.0, width); };
-  const auto inside_z = [&](double t) { return std::clamp(z + t * dz, -half, half); };
+  const auto inside_z = [&](double t) { return std::clamp(z + t * dz, layer.ends.low, layer.ends.high); };
   pieces.list[static_cast<std::size_t>(pieces.n++)] = {sheet, inside_x(t0), inside_z(t0), inside_x(t1),
                                                        inside_z(t1)};
 }

@@ -53,24 +53,25 @@ void check(const WireTruthColumns& truths, const Detector& detector, const std::
   }
 }
 
-// Time against drift distance: linear between the points of the table, and beyond the outermost ones.
+// Time against drift distance: linear between the points of a relation, and beyond the outermost ones.
 class DriftTimes {
  public:
-  explicit DriftTimes(const WireReadout& readout) {
-    const auto& x = readout.xt_distance;
-    const auto& t = readout.xt_time;
-    for (std::size_t k = 0; k + 1 < x.size(); ++k)
-      parts_.push_back({x[k], t[k], (t[k + 1] - t[k]) / (x[k + 1] - x[k])});
+  explicit DriftTimes(const std::vector<DriftPoint>& points) {
+    for (std::size_t k = 0; k + 1 < points.size(); ++k) {
+      const DriftPoint &from = points[k], &to = points[k + 1];
+      parts_.push_back({from.distance, from.time, (to.time - from.time) / (to.distance - from.distance)});
+    }
   }
 
-  Number operator()(const Number& drift) const {
+  template <class T>
+  T operator()(const T& drift) const {
     // Looking at all parts has no branches.
-    Number from = parts_[0].from, time = parts_[0].time, slope = parts_[0].slope;
+    T from = parts_[0].from, time = parts_[0].time, slope = parts_[0].slope;
     for (const Part& part : parts_) {
-      const mask_of<Number> beyond = drift >= part.from;
-      from = select(beyond, Number(part.from), from);
-      time = select(beyond, Number(part.time), time);
-      slope = select(beyond, Number(part.slope), slope);
+      const mask_of<T> beyond = drift >= part.from;
+      from = select(beyond, T(part.from), from);
+      time = select(beyond, T(part.time), time);
+      slope = select(beyond, T(part.slope), slope);
     }
     return time + slope * (drift - from);
   }
@@ -82,16 +83,42 @@ class DriftTimes {
   std::vector<Part> parts_;
 };
 
+// Those of all layers; most detectors have one relation.
+class DriftTimesOfLayers {
+ public:
+  explicit DriftTimesOfLayers(const std::vector<WireLayer>& layers) {
+    for (std::size_t i = 0; i < layers.size(); ++i) {
+      one_ = one_ && layers[i].relation == layers[0].relation;
+      of_layer_.emplace_back(layers[i].relation);
+    }
+  }
+
+  // `layer`: the layer of a lane.
+  template <class Layer>
+  Number operator()(const Number& drift, Layer&& layer) const {
+    if (one_) return of_layer_[0](drift);
+    return gathered<Number>([&](int i) { return of_layer_[layer(i)](lane(drift, i)); });
+  }
+
+ private:
+  std::vector<DriftTimes> of_layer_;
+  bool one_ = true;
+};
+
 // Adds the cells of some rows that fire, at most as many as there are lanes.
 void fire(const Detector& detector, const std::vector<int>& index, const WireTruthColumns& truths,
-          std::size_t first, std::size_t n, const WireReadout& readout, const DriftTimes& times,
+          std::size_t first, std::size_t n, const WireReadout& readout, const DriftTimesOfLayers& times,
           std::vector<FiredCell>& out) {
   BlockSeries<Number> draws;
   Number distance, least, slope, efficiency;
   bool straight = true;
+  const auto layer_of = [&](int i) {
+    const std::size_t row = first + std::min(static_cast<std::size_t>(i), n - 1);
+    return static_cast<std::size_t>(index[truths.layer[row]]);
+  };
   for (int i = 0; i < lanes_of<Number>; ++i) {
     const std::size_t row = first + std::min(static_cast<std::size_t>(i), n - 1);
-    const WireLayer& layer = detector.wires[index[truths.layer[row]]];
+    const WireLayer& layer = detector.wires[layer_of(i)];
     const Stream stream(readout.seed, static_cast<std::uint64_t>(truths.event[row]),
                         static_cast<std::uint32_t>(truths.particle[row]));
     draws.set(i, stream, Purpose::drift_distance,
@@ -104,15 +131,13 @@ void fire(const Detector& detector, const std::vector<int>& index, const WireTru
   }
   const auto sigma_at = [&](const Number& where) {
     if (straight) return least + slope * larger(where, 0.0);
-    return gathered<Number>([&](int i) {
-      const std::size_t row = first + std::min(static_cast<std::size_t>(i), n - 1);
-      return drift_error(detector.wires[index[truths.layer[row]]], std::max(lane(where, i), 0.0));
-    });
+    return gathered<Number>(
+        [&](int i) { return drift_error(detector.wires[layer_of(i)], std::max(lane(where, i), 0.0)); });
   };
   const BlockOf<Number> words = draws.next();
   const Number drift = distance + sigma_at(distance) * normal_quantile(open_unit(words[0]));
   // The error is evaluated at the measured drift distance, the only one that the hit has.
-  const Number sigma = sigma_at(drift), time = times(drift);
+  const Number sigma = sigma_at(drift), time = times(drift, layer_of);
   each_lane(open_unit(words[1]) <= efficiency, [&](int i) {
     const std::size_t row = first + static_cast<std::size_t>(i);
     if (row >= first + n) return;
@@ -131,7 +156,7 @@ Columns<WireHitRow> read_out_wires(const Detector& detector, const WireTruthColu
   Columns<WireHitRow> hits;
   hits.reserve(truths.size());
   constexpr std::size_t lanes = lanes_of<Number>;
-  const DriftTimes times(readout);
+  const DriftTimesOfLayers times(detector.wires);
   std::vector<FiredCell> fired;
   for (std::size_t begin = 0, end; begin < truths.size(); begin = end) {
     fired.clear();

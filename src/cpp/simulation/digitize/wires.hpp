@@ -22,8 +22,6 @@ struct WireTruthColumns {
 };
 
 struct WireReadout {
-  std::span<const double> xt_distance;  // mm, ascending, at least two points
-  std::span<const double> xt_time;      // ns
   bool reveal_sides;
   std::uint64_t seed;
 };
@@ -46,6 +44,7 @@ struct WireHitRow {
   }
 };
 
+// Error, efficiency, and the relation of distance and time are those of the wire layer.
 // The drift distance is |doca| plus a Gaussian error sigma(|doca|), not cut at zero. Near the wire it may be
 // slightly negative; side times drift is then exactly Gaussian about doca. A cell fired by several particles
 // gives one hit, that with the smallest sum of delay and drift time; the drift time of the hit is without

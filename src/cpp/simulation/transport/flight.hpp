@@ -180,7 +180,7 @@ class Flight {
 
   // Scattering and energy loss at the slab's centroid, where the points are.
   CGEMIT_FLATTEN void cross(const Slab& slab, const Mask& arrived) {
-    Mask within = arrived & (abs(point_.z) <= slab.half_length);
+    Mask within = arrived & slab.ends.hold(point_.z);
     within_ = within;
     deposit_ = T(0.0);  // stays 0 beyond the ends
     if (const Mask missed = arrived & !within; any(missed)) miss(slab, missed);
@@ -274,7 +274,7 @@ class Flight {
     const Mask settled = motion_.approach_near(closest, cell_wires<T>(layer, cell), approach, who);
     const T time = time_ + flight_time(approach.arc + range.arc);
     // Cells fire neither behind the vertex, nor beyond the ends of the wires, nor after the decay.
-    const Mask meets = settled & (time >= 0.0) & (abs(approach.z_wire) <= layer.half_length);
+    const Mask meets = settled & (time >= 0.0) & layer.ends.hold(approach.z_wire);
     const Mask late = meets & (time >= decay_time_), fired = meets & !late;
     decay(late);
     if (!any(fired)) return;
