@@ -18,7 +18,7 @@ from pages.page import Found, Numbers, Page, table
 
 PRESETS = (
     *("besiii-cgem-design", "besiii-pixel", "clas12-like", "stcf-like", "kloe2-like"),
-    *("epic-like", "idea-like", "cepc-like"),
+    *("belle2-like", "epic-like", "idea-like", "cepc-like"),
 )
 MOMENTA = (1.0, 10.0)
 THIN = ("epic-like", "idea-like", "cepc-like")  # of thin layers that measure precisely
@@ -176,15 +176,16 @@ def _lorentz_shifts() -> str:
 
 def draw_presets(found: Found) -> Figure:
     """Draw one half of the presets along the beam."""
-    figure, axes = plt.subplots(4, 2, figsize=(11.6, 16.0), dpi=75)
+    figure, axes = plt.subplots(5, 2, figsize=(11.6, 20.0), dpi=75)
+    axes[-1, -1].set_axis_off()
     entries = {}  # of one legend for all, below
-    for plot, name in zip(axes.flat, PRESETS, strict=True):
+    for plot, name in zip(axes.flat[: len(PRESETS)], PRESETS, strict=True):
         draw_rz(name, plot)
         legend = plot.get_legend()
         entries |= {text.get_text(): mark for text, mark in zip(legend.texts, legend.legend_handles, strict=True)}
         legend.remove()
     figure.legend(entries.values(), entries.keys(), loc="lower center", ncols=4, fontsize=9)
-    figure.tight_layout(rect=(0, 0.035, 1, 1))
+    figure.tight_layout(rect=(0, 0.03, 1, 1))
     return figure
 
 

@@ -33,8 +33,8 @@ def test_detectors(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("detectors") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [
-        "besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss", "besiii-pixel", "cepc-like",
-        "clas12-like", "epic-like", "idea-like", "kloe2-like", "stcf-like",
+        "belle2-like", "besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss", "besiii-pixel",
+        "cepc-like", "clas12-like", "epic-like", "idea-like", "kloe2-like", "stcf-like",
     ]  # fmt: skip
     assert call("detectors", "--json") == 0
     assert list(json.loads(capsys.readouterr().out)) == [line.split()[0] for line in lines]

@@ -30,7 +30,7 @@ def rows(name: str) -> list[dict[str, str]]:
 
 def test_names_and_descriptions() -> None:
     others = ("besiii-pixel", "cepc-like", "clas12-like", "epic-like", "idea-like", "kloe2-like", "stcf-like")
-    assert tuple(detectors()) == (*NAMES, *others)
+    assert tuple(detectors()) == ("belle2-like", *NAMES, *others)
     for name, description in detectors().items():
         assert len(description) > 20
         assert load(name).name == name
@@ -276,6 +276,34 @@ def test_gas_of_the_chamber_without_axial_wires() -> None:
     assert gas.density == pytest.approx(total / 24_055, rel=1e-3)
     expected = sum(moles[name] / total / x0 for name, x0 in (("He", 94.32), ("C", 42.70), ("H", 63.04)))
     assert 10 / (expected * gas.density) == pytest.approx(gas.x0, rel=0.005)  # mm; g/cm2 of the PDG
+
+
+def test_a_chamber_of_axial_and_stereo_superlayers_behind_silicon() -> None:
+    """Numbers of wires, radii, lengths and holes of the sources, and stereo angles and radiation lengths from them."""
+    detector = load("belle2-like")
+    layers = detector.drift_chamber.layers
+    assert (detector.field.bz, len(layers), sum(layer.cells for layer in layers)) == (1.5, 56, 14_336)
+    sensors = {layer.label: (layer.radius, layer.thickness) for layer in detector.layers}
+    silicon = {"SVD3": 38.99, "SVD4": 80, "SVD5": 104, "SVD6": 135.15}
+    assert sensors == {"PXD1": (14, 0.075), "PXD2": (22, 0.075)} | {one: (r, 0.32) for one, r in silicon.items()}
+    for number, radius, ends in ((0, 168, (312.1, 572.1)), (13, 348, (575.6, 1158.75)), (55, 1111.4, (724, 1579))):
+        layer = layers[number]
+        assert (layer.r_end, 2 * layer.half_length) == (radius, pytest.approx(sum(ends), abs=0.02))
+    first = [0, 8, 14, 20, 26, 32, 38, 44, 50]
+    holes = dict(zip(first, (0, 18, 0, -18, 0, 19, 0, -20, 0), strict=True))
+    for number, shift in holes.items():
+        layer = layers[number]
+        assert layer.twist == pytest.approx(2 * math.pi * shift / (2 * layer.cells))
+        tilt = math.atan(layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length)
+        assert shift == 0 or 0.045 < abs(tilt) < 0.08
+    gas = detector.drift_chamber.gas
+    helium, ethane = 0.164637, 1.240545  # mg/cm3
+    parts = {"He": helium, "C": 24.022 / 30.07 * ethane, "H": 6.048 / 30.07 * ethane}
+    x0 = {"He": 94.32, "C": 42.70, "H": 63.04}  # g/cm2 of the PDG
+    assert gas.density == pytest.approx(0.5e-3 * (helium + ethane), rel=1e-3)
+    assert 1 / gas.x0 == pytest.approx(0.5e-4 * sum(part / x0[name] for name, part in parts.items()), rel=0.005)
+    shells = [shell for slab in slabs(detector) for shell in slab.shells if shell.label == "wires"]
+    assert sum(shell.x0 for shell in shells) == pytest.approx(0.0026, abs=2e-5)
 
 
 def test_pixels_before_the_cgem() -> None:
