@@ -316,7 +316,7 @@ def read_contents(source: str, tables: Mapping[str, Any], problems: Problems) ->
     chamber = read_chamber(reader, tables["drift_chamber"]) if "drift_chamber" in tables else None
     levels = tuple(_parts(reader, tables, "background", BackgroundLevel, "label"))
     # A layer that could not be read may measure.
-    measures = any(one.views for one in barrels) or any(one.path.startswith("layer") for one in problems)
+    measures = any(one.views for one in barrels) or any(one.path.partition(".")[0] in LAYER_KINDS for one in problems)
     if not measures and not chamber and not reader.baseless:
         expected = "a [cgem.<label>], a [layer.<label>] with an error or a pitch, or a [drift_chamber]"
         reader.note("", "nothing that measures", expected)

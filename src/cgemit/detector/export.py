@@ -101,7 +101,7 @@ def describe(detector: Contents) -> dict[str, Any]:
         "field": field_text(detector.field),
         "material": material,
         "cgem": [layer.described() for layer in detector.cgem],
-        "layers": [layer.described() for layer in detector.layer],
+        "layers": [layer.described() for group, layers in detector.by_kind() if group != "cgem" for layer in layers],
         "wires": [layer.described(gid) for layer, gid in wires],
         "unreachable": unreachable(detector),
     }

@@ -40,6 +40,14 @@ class Part:
         """Return the value of one of `extra_keys`; None if it has none."""
         return None
 
+    def stands_for(self, name: str) -> tuple[str, ...]:
+        """Return the keys whose values a short form of a file stands for."""
+        return ()
+
+    def may_lack(self, name: str) -> bool:
+        """Return whether 0 means that the part has no such number, so that relative changes leave it as it is."""
+        return False
+
     def children(self) -> dict[str, Any]:
         """Return what may stand behind a dot and the path of this part, by name: values of keys, and parts by label."""
         kind: Any = type(self)

@@ -192,12 +192,18 @@ def _values(part: Part) -> dict[str, Any]:
     return part.children()
 
 
+def _node(detector: Contents, path: str) -> Any:
+    """Return what is at a dotted key; None if nothing is."""
+    node: Any = _root(detector)
+    for name in path.split(".") if path else ():
+        node = _children(node).get(name)
+    return node
+
+
 def value_at(detector: Contents, path: str) -> tuple[Any, Key] | None:
     """Return the value at a dotted key and what it may be; None if the detector has no such value."""
-    *parents, last = path.split(".")
-    node: Any = _root(detector)
-    for name in parents:
-        node = _children(node).get(name)
+    parent, _, last = path.rpartition(".")
+    node = _node(detector, parent)
     if isinstance(node, Part) and (extra := node.extra_value(last)) is not None:
         return extra, node.extra_keys[last]
     kind: Any = type(node)
@@ -227,19 +233,14 @@ def values_at(detector: Contents, keys: str, problems: list[Problem]) -> list[tu
 
 
 def _several(detector: Contents, path: str) -> list[str]:
-    """Return the keys for which a key of the drift chamber or of a measurement layer stands; none for another key."""
+    """Return the keys for which a key of the drift chamber or of a part stands; none for another key."""
     group, _, name = path.rpartition(".")
-    if name in ("sigma", "pitch") and group.startswith("layer."):
-        both = [f"{path}_{view}" for view in "xv"]
-        found = [value_at(detector, one) for one in both]
-        return [one for one, value in zip(both, found, strict=True) if value and value[0] > 0] if all(found) else []
+    part = _node(detector, group)
+    if isinstance(part, Part) and (names := part.stands_for(name)):
+        return [f"{group}.{one}" for one in names]
     if group != "drift_chamber" or name not in FOR_ALL_LAYERS or detector.drift_chamber is None:
         return []
     return [f"drift_chamber.layers.{layer.number}.{name}" for layer in detector.drift_chamber.layers]
-
-
-#: Values of a measurement layer, of which it has some.
-_OF_A_VIEW = ("pitch_x", "pitch_v", "sigma_x", "sigma_v")
 
 
 def _absolute(detector: Contents, path: str, value: object, problems: list[Problem]) -> dict[str, object]:
@@ -255,8 +256,9 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
         problems.append(Problem(path, shown(value), "a number of the detector", hint, unknown=True))
         return {}
     number, key = now
-    if number == 0 and path.startswith("layer.") and path.rpartition(".")[2] in _OF_A_VIEW:
-        return {}  # stated by the other of pitch and error, or not measured
+    parent, _, last = path.rpartition(".")
+    if number == 0 and _node(detector, parent).may_lack(last):
+        return {}
     if key.kind == "integer" and (number * factor) % 1 == 0:
         return {path: Known(round(number * factor))}
     if (key.kind in NATIVE and number is not None) or (key.kind == "offset" and isinstance(number, float)):
@@ -271,10 +273,7 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
 
 
 def _siblings(detector: Contents, path: str) -> list[str]:
-    node: Any = _root(detector)
-    for name in path.split(".")[:-1]:
-        node = _children(node).get(name)
-    return list(_children(node))
+    return list(_children(_node(detector, path.rpartition(".")[0])))
 
 
 def variant_name(name: str, changes: Mapping[str, object]) -> str:

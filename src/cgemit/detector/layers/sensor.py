@@ -232,6 +232,15 @@ class MeasurementLayer(Layer):
         """Return the thickness in radiation lengths as `x0`."""
         return self.thickness / self.material.x0 if name == "x0" else None
 
+    def stands_for(self, name: str) -> tuple[str, ...]:
+        """Return the coordinates that `sigma` or `pitch` stands for."""
+        both = [f"{name}_{view}" for view in "xv"] if name in ("sigma", "pitch") else []
+        return tuple(one for one in both if getattr(self, one) > 0)
+
+    def may_lack(self, name: str) -> bool:
+        """Return True for errors and pitches: one states the other's coordinate, or it is not measured."""
+        return name in ("pitch_x", "pitch_v", "sigma_x", "sigma_v")
+
     @once
     def problems(self) -> list[Problem]:
         """Return a sensor that begins inside the beam line, and wrong sizes, angles and errors of its coordinates."""
