@@ -169,7 +169,7 @@ def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any
     The drift chamber is a table of layers if `changed` names a group that changes it, otherwise one part.
     """
     tables: dict[str, Any] = {"name": detector.name, "description": detector.description, "field": detector.field}
-    tables |= {group: {part.label: part for part in getattr(detector, group)} for group in _GROUPS}
+    tables |= detector.labelled()
     chamber = detector.drift_chamber
     if chamber and any(group in changed for group in ("drift_chamber", "materials", "remove")):
         layers = {str(layer.number): layer for layer in chamber.layers}
@@ -180,9 +180,6 @@ def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any
     elif chamber:
         tables["drift_chamber"] = chamber
     return tables | {"materials": {material.name: material for material in own_materials(detector)}}
-
-
-_GROUPS = ("beam_pipe", *LAYER_KINDS, "walls", "background")
 
 
 @once

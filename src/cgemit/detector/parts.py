@@ -5,9 +5,9 @@ The metadata of each field (`keys.Key`) states what a detector file may hold the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import SupportsIndex, TypeVar, overload
+from typing import Any, SupportsIndex, TypeVar, overload
 
 from cgemit.base.errors import did_you_mean
 from cgemit.detector.field import Field
@@ -176,6 +176,12 @@ class Contents(Part):
         for group, kind in LAYER_KINDS.items():
             yield group, _of_kind(self, kind)
 
+    def labelled(self) -> dict[str, dict[str, Part]]:
+        """Return the parts with a label, by their table in a detector file."""
+        found: dict[str, Iterable[Any]] = {"beam_pipe": self.beam_pipe, **dict(self.by_kind())}
+        found |= {"walls": self.walls, "background": self.background}
+        return {name: {part.label: part for part in parts} for name, parts in found.items()}
+
 
 @once
 def _measuring(detector: Contents) -> Labelled[Layer]:
@@ -187,7 +193,7 @@ _K = TypeVar("_K", bound=Layer)
 
 @once
 def _of_kind(detector: Contents, kind: type[_K]) -> Labelled[_K]:
-    return Labelled(layer for layer in detector.barrels if isinstance(layer, kind))
+    return Labelled(layer for layer in detector.barrels if isinstance(layer, kind) and layer.group == kind.group)
 
 
 @once

@@ -13,7 +13,7 @@ from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.detector.keys import CELLS, Key, Known, Part, default, file_keys, keys_of, once
-from cgemit.detector.layers import LAYER_KINDS, CgemLayer
+from cgemit.detector.layers import CgemLayer
 from cgemit.detector.layers.layer import SubLayer
 from cgemit.detector.layers.wires import CellWire, DriftChamber
 from cgemit.detector.material import Material
@@ -171,11 +171,7 @@ def _is_pattern(text: str) -> bool:
 
 @once
 def _root(detector: Contents) -> dict[str, Any]:
-    groups = {
-        name: {part.label: part for part in getattr(detector, name)}
-        for name in ("beam_pipe", *LAYER_KINDS, "walls", "background")
-    }
-    return {"field": detector.field, "drift_chamber": detector.drift_chamber, **groups}
+    return {"field": detector.field, "drift_chamber": detector.drift_chamber, **detector.labelled()}
 
 
 def _children(node: Any) -> Mapping[str, Any]:
