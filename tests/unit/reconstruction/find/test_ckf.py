@@ -764,15 +764,15 @@ ALTERNATE = ("50 mrad", "-50 mrad") * 12
 BLOCKS = ("50 mrad",) * 6 + ("-50 mrad",) * 6
 
 
-def stereo_chamber(angles, cells="14 mm"):
-    """A chamber without axial wires, 1 T, in which circles of 0.07 GeV/c turn back."""
+def stereo_chamber(angles, cells="14 mm", bz="-1 T"):
+    """A chamber of layers with these angles from 150 mm on; in 1 T circles of 0.07 GeV/c turn back in 24 of them."""
     gas = {"density": "0.84e-3 g/cm3", "composition": {"He": 0.12, "C": 0.72, "H": 0.16}, "gas": True}
     layers = {f"S{i}": {"layers": 1, "cells": cells, "stereo": angle} for i, angle in enumerate(angles)}
     layers["S0"]["r_in"] = "150 mm"
     chamber = {
         "gas": "Light", "sigma": "110 um", "half_length": "1000 mm", "wires": "none", "superlayers": layers,
     }  # fmt: skip
-    return cg.load({"name": "stereo", "field": {"bz": "-1 T"}, "drift_chamber": chamber, "materials": {"Light": gas}})
+    return cg.load({"name": "stereo", "field": {"bz": bz}, "drift_chamber": chamber, "materials": {"Light": gas}})
 
 
 ONLY_WIRES = [
@@ -826,6 +826,49 @@ def test_circles_of_two_neighbouring_tracks_are_not_exchanged(angles):
     assert reference == 300
     assert found >= 0.98 * reference
     assert cg.study.finding(result).rates().wrong_z.count <= 0.015 * reference
+
+
+def random_barrel(random):
+    """A detector that nobody has chosen: pixels, strips or a chamber, with radii, field, angles and tracks drawn."""
+    field = random.choice([0.5, 1.0, 2.0, 3.0])
+    kind = random.choice(["pixels", "strips", "alternate", "axial"])
+    if kind in ("pixels", "strips"):
+        layers = random.integers(5, 9) if kind == "pixels" else 2 * random.integers(4, 7)
+        radii = np.linspace(random.uniform(30, 150), random.uniform(500, 900), layers)
+        angle = random.uniform(3, 12)
+        views = ({"sigma_x": "20 um"}, {"sigma_v": "20 um", "stereo": f"{angle:.2f} deg"})
+        detector = barrel(field, [round(r, 1) for r in radii], *((PIXEL,) if kind == "pixels" else views))
+        outer = radii[-1]
+    else:
+        angle, cells = random.uniform(40, 120), random.uniform(8, 16)
+        signs = [f"{angle:.0f} mrad", f"-{angle:.0f} mrad"]
+        n = 2 * int(random.integers(10, 21))
+        angles = signs * (n // 2) if kind == "alternate" else ["0 mrad"] * (n // 2) + signs * (n // 4)
+        detector = stereo_chamber(angles, f"{cells:.1f} mm", f"-{field} T")
+        outer = detector.drift_chamber.layers[-1].r_end
+    least = 0.3 * field * outer / 2000
+    tracks = int(random.choice([1, 4, 10]))
+    gun = cg.Gun("mu-", pt=(max(1.2 * least, 0.1), 8 * max(least, 0.1)), cos_theta=(-0.4, 0.4))
+    return f"{kind}, {field} T, {outer:.0f} mm, {tracks} tracks", detector, gun, tracks
+
+
+#: Share of the tracks that is found at least, for each number of tracks in an event.
+LEAST = {1: 0.99, 4: 0.98, 10: 0.95}
+
+
+@pytest.mark.slow
+def test_random_detectors():
+    """Detectors drawn by a seed: tracks that the perfect finder gives are found. The worst point is printed last."""
+    random = np.random.default_rng(20261130)
+    points = []
+    for _ in range(24):
+        name, detector, gun, tracks = random_barrel(random)
+        found, reference, _, _ = right(detector, gun, -(-100 // tracks), tracks)
+        points.append((found / reference, reference, tracks, name))
+    points.sort(reverse=True)
+    print("\n".join(f"{100 * share:.1f} % of {reference}: {name}" for share, reference, _, name in points))
+    for share, _, tracks, name in points:
+        assert share >= LEAST[tracks], name
 
 
 def views_in(run, layer):
