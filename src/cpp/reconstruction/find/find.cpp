@@ -52,14 +52,24 @@ class EventFinder {
     const bool circles_first = settings_.chamber && is_crowded();
     if (circles_first) from_chamber();
     if (settings_.segments && detector_.layers.size() >= 3) {
-      for (const FindSeed& seed : segments_.three_layers(hits_, !circles_first)) try_segment(seed);
+      const std::int64_t first = seeds_, most = settings_.max_seeds;
+      for (const FindSeed& seed : segments_.three_layers(hits_, !circles_first)) {
+        if (seeds_ - first == most) {
+          reach(limit_segments, true);
+          break;
+        }
+        try_segment(seed);
+      }
       reach(limit_segments, segments_.is_cut());
     }
     if (settings_.chamber && !circles_first) from_chamber();
     if (settings_.chamber && stereo_only_) from_views();
     if (settings_.segments && detector_.layers.size() >= 2) {
-      for (const FindSeed& seed : segments_.two_layers(hits_))
+      const std::int64_t first = seeds_, most = settings_.max_seeds;
+      for (const FindSeed& seed : segments_.two_layers(hits_)) {
+        if (seeds_ - first == most) break;
         if (!is_found(seed)) try_segment(seed);
+      }
       reach(limit_segments, segments_.is_cut());
     }
     settle();
@@ -101,6 +111,10 @@ class EventFinder {
     const std::vector<FindSeed>& seeds = segments_.tracks(hits_);
     reach(limit_segments, segments_.is_cut());
     for (const FindSeed& seed : seeds) {
+      if (seeds_ == settings_.max_seeds) {
+        reach(limit_segments, true);
+        break;
+      }
       ++seeds_;
       std::size_t shared = 0;
       for (const std::int32_t id : seed.hits) shared += hits_.is_taken(id) ? 1 : 0;

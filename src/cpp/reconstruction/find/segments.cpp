@@ -225,14 +225,27 @@ void SegmentFinder::add(const Perigee& helix, double sigma_d, std::vector<std::i
   if (seed.helix.kappa == 0) seed.helix.kappa = 1e-9;
   ranks_.push_back({rank, seeds_.size()});
   seeds_.push_back(std::move(seed));
-  if (seeds_.size() > 8 * static_cast<std::size_t>(settings_.max_seeds) + 1000) keep_best();
+  if (seeds_.size() > 2 * most_kept() + 1000) keep_best();
 }
 
-// Leaves the best seeds, in their order; of equal ones the first found.
+// Leaves the best seeds, in their order; of equal ones the first found. A track of eight layers makes 18
+// seeds: where there are too many, those go first of which better ones have every cluster.
 void SegmentFinder::keep_best() {
   std::ranges::stable_sort(ranks_, [](const Ranked& a, const Ranked& b) { return a.rank < b.rank; });
-  dropped_ = dropped_ || ranks_.size() > static_cast<std::size_t>(settings_.max_seeds);
-  ranks_.resize(std::min(static_cast<std::size_t>(settings_.max_seeds), ranks_.size()));
+  if (ranks_.size() > static_cast<std::size_t>(settings_.max_seeds)) {
+    in_better_.assign(range_.size(), 0);
+    std::erase_if(ranks_, [this](const Ranked& one) {
+      bool any_new = false;
+      for (const std::int32_t id : seeds_[one.seed].hits) {
+        std::uint8_t& is_used = in_better_[static_cast<std::size_t>(id)];
+        any_new = any_new || is_used == 0;
+        is_used = 1;
+      }
+      return !any_new;
+    });
+  }
+  dropped_ = dropped_ || ranks_.size() > most_kept();
+  ranks_.resize(std::min(most_kept(), ranks_.size()));
   sorted_.clear();
   for (Ranked& one : ranks_) {
     sorted_.push_back(std::move(seeds_[one.seed]));

@@ -74,6 +74,7 @@ class SegmentFinder {
   void two(std::size_t inner, std::size_t outer, const Point& a, const Point& c, const EventHits& hits);
   void add(const Perigee& helix, double sigma_d, std::vector<std::int32_t> hits, double rank);
   void keep_best();
+  std::size_t most_kept() const { return 4 * static_cast<std::size_t>(settings_.max_seeds); }
   const std::vector<FindSeed>& ranked();
   double least_score() const { return alone_ ? settings_.min_score : hopeless; }
   bool too_much() const { return work_ > most_work; }
@@ -91,10 +92,11 @@ class SegmentFinder {
   bool alone_ = false;  // segments are tracks
   std::vector<FindSeed> seeds_, sorted_;
   std::vector<Ranked> ranks_;
+  std::vector<std::uint8_t> in_better_;  // of each cluster, whether a better seed has it
   // Combinations that have been looked at in this event; no more than a second's worth.
   static constexpr std::int64_t most_work = 100'000'000;
   std::int64_t work_ = 0;
-  bool dropped_ = false;  // seeds beyond `max_seeds`
+  bool dropped_ = false;  // seeds beyond `most_kept`
 };
 
 }  // namespace cgemit

@@ -676,6 +676,15 @@ def test_slow_tracks_turn_most_between_layers_of_large_radius(pt):
         assert counts(barrel(bz, (200, 400, 600), PIXEL), gun, 50) == (50, 50, 0, 0, 0)
 
 
+def test_seeds_of_one_track_do_not_crowd_out_others():
+    """A track of eight layers makes 18 seeds: with 64 tracks, the 200 best ones left out every sixth track."""
+    gun = cg.Gun("mu-", p=(0.5, 2.0), cos_theta=(-0.3, 0.3))
+    found, findable, _, _, beyond = counts("epic-like", gun, 2, tracks=64)
+    assert findable == 128
+    assert found >= 126
+    assert beyond == 0
+
+
 def test_slow_tracks_among_others_in_three_layers():
     gun = cg.Gun("mu-", pt=(0.29, 0.8), cos_theta=(-0.3, 0.3))
     assert counts(barrel(3, (200, 400, 600), PIXEL), gun, 25, tracks=4) == (100, 100, 0, 0, 0)
