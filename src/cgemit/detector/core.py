@@ -493,7 +493,7 @@ def wire_table(chamber: DriftChamber | None) -> Columns:
     if len(masked):
         rows = np.searchsorted(columns["gid_first"], masked, side="right") - 1
         columns["masked_layer"] = rows.astype(np.int32)
-        columns["masked_wire"] = masked - columns["gid_first"][rows]
+        columns["masked_wire"] = masked - np.asarray(columns["gid_first"], np.int32)[rows]
     return columns
 
 

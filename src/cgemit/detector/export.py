@@ -235,8 +235,8 @@ def _map_beside(detector: Contents) -> str | None:
 
 def _table(part: Any) -> dict[str, Any]:
     kind: Any = type(part)
-    keys = keys_of(kind).items()
-    keys = {name: key for name, key in keys if not key.quiet or getattr(part, name) != default(kind, name)}
+    stated = keys_of(kind).items()
+    keys = {name: key for name, key in stated if not key.quiet or getattr(part, name) != default(kind, name)}
     usual = getattr(part, "usual_readout", None)
     keys = {name: key for name, key in keys.items() if key.kind != "readout" or getattr(part, name) != usual}
     found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}

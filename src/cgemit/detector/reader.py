@@ -682,10 +682,10 @@ def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
         if name in changes:
             chamber.pop(other, None)
     _lay_ends(chamber, changes, *Bounded.short_form)
-    for group in ("layers", "superlayers"):
-        for label, table in _tables(changes, group).items():
+    for name in ("layers", "superlayers"):
+        for label, table in _tables(changes, name).items():
             if isinstance(table, Mapping):
-                _lay_ends(_open(_tables(chamber, group), label), table, *Bounded.short_form)
+                _lay_ends(_open(_tables(chamber, name), label), table, *Bounded.short_form)
     for label in superlayers:
         if changes.keys() & set(_ENDS):
             for name in _ENDS:

@@ -151,7 +151,8 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
     with style():
         ax, edge, rings = _view(detector, ax, r_max, (9.6, 5.4))
         layers = [layer for layer in wire_layers(detector) if layer.r_mid < edge]
-        reach = 1.12 * max(max(-low, high) for low, high in (one.ends for one in (*rings, *layers)))
+        ends = [ring.ends for ring in rings] + [layer.ends for layer in layers]
+        reach = 1.12 * max(max(-low, high) for low, high in ends)
         for ring in rings:
             color, (low, high) = _PARTS[ring.part], ring.ends
             size = (high - low, ring.r_out - ring.r_in)

@@ -275,7 +275,8 @@ def _ghosts(clusters: Table) -> npt.NDArray[np.bool_]:
 def _reach(detector: Detector) -> tuple[float, float]:
     wires = wire_layers(detector)
     r = [part.r_out for part in matter_parts(detector)] + [layer.r_out for layer in detector.layers]
-    z = [max(-layer.ends[0], layer.ends[1]) for layer in (*detector.layers, *wires)]
+    ends = [layer.ends for layer in detector.layers] + [layer.ends for layer in wires]
+    z = [max(-low, high) for low, high in ends]
     r += [layer.r_end for layer in wires]
     return max(r, default=_FALLBACK_SIZE), max(z, default=_FALLBACK_SIZE)
 
