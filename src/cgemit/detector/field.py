@@ -215,6 +215,7 @@ def checked_grid(columns: Columns, problems: list[Problem]) -> FieldGrid | None:
     unread = [name for name in columns if name not in (*axes, *components)]
     if unread:
         wanted = f"only {', '.join((*axes, *components))} of a map in {', '.join(axes)}"
+        wanted += ", or values in x, y, z that are interpolated from those in r, phi, z" if "phi" in unread else ""
         problems.append(Problem(", ".join(unread), "an array that is not read", wanted))
     for name in (*axes, *components):
         if name not in columns:

@@ -598,3 +598,22 @@ def test_command_line_takes_fields(tmp_path, capsys):
     capsys.readouterr()
     assert main(["simulate", *arguments, "--field", "nothing", "-o", str(tmp_path / "other")]) == 2
     assert "one of besiii, besiii-harmonic" in capsys.readouterr().err
+
+
+def test_a_map_in_azimuth_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    """It is no map in r and z with arrays too many."""
+    shape = (4, 5, 6)
+    axes = {"r": np.linspace(0, 900, 4), "phi": np.linspace(0, 2 * np.pi, 5), "z": np.linspace(-500, 500, 6)}
+    np.savez(
+        tmp_path / "map.npz",
+        **axes,
+        br=np.zeros(shape),
+        bphi=np.zeros(shape),
+        bz=np.ones(shape),
+        length_unit="mm",
+        field_unit="T",
+    )
+    with pytest.raises(DetectorError) as error:
+        read_field_map(tmp_path / "map.npz")
+    assert "bphi, phi: got an array that is not read" in str(error.value)
+    assert "values in x, y, z that are interpolated from those in r, phi, z" in str(error.value)
