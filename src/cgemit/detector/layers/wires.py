@@ -305,7 +305,13 @@ class WireLayer(Placed, Bounded):
         return self.z_mid - reach, self.z_mid + reach
 
     def radii_between(self, low: float, high: float) -> tuple[float, float]:
-        """Return the smallest and the largest radius of the wires between two z, mm; NaN if they have no wires."""
+        """Return the smallest and the largest radius of the wires between two z, mm; NaN where there are none.
+
+        Parameters
+        ----------
+        low, high : float
+            mm.
+        """
         first, last = self.ends
         low, high = max(low, first), min(high, last)
         if not low <= high:
