@@ -52,9 +52,9 @@ class EventFinder {
     const bool circles_first = settings_.chamber && is_crowded();
     if (circles_first) from_chamber();
     if (settings_.segments && detector_.layers.size() >= 3) {
-      const std::int64_t first = seeds_, most = settings_.max_seeds;
+      const std::int64_t before = seeds_, most = settings_.max_seeds;
       for (const FindSeed& seed : segments_.three_layers(hits_, !circles_first)) {
-        if (seeds_ - first == most) {
+        if (seeds_ - before == most) {
           reach(limit_segments, true);
           break;
         }
@@ -65,9 +65,9 @@ class EventFinder {
     if (settings_.chamber && !circles_first) from_chamber();
     if (settings_.chamber && stereo_only_) from_views();
     if (settings_.segments && detector_.layers.size() >= 2) {
-      const std::int64_t first = seeds_, most = settings_.max_seeds;
+      const std::int64_t before = seeds_, most = settings_.max_seeds;
       for (const FindSeed& seed : segments_.two_layers(hits_)) {
-        if (seeds_ - first == most) break;
+        if (seeds_ - before == most) break;
         if (!is_found(seed)) try_segment(seed);
       }
       reach(limit_segments, segments_.is_cut());
