@@ -9,6 +9,11 @@ from .base import isa as isa
 from .base.errors import DetectorError as DetectorError
 from .base.progress import ProgressBar as ProgressBar
 from .base.version import __version__ as __version__
+from .calibration.align import Alignment as Alignment
+from .calibration.align import align as align
+from .calibration.forecast import AlignmentForecast as AlignmentForecast
+from .calibration.forecast import alignment_forecast as alignment_forecast
+from .calibration.settings import AlignmentSettings as AlignmentSettings
 from .chain.executor import Workers as Workers
 from .chain.result import Result as Result
 from .chain.result import open as open
@@ -18,6 +23,7 @@ from .chain.settings import Settings as Settings
 from .chain.settings import register_readout as register_readout
 from .covariance.analytic import analytic as analytic
 from .covariance.sensitivity import sensitivity as sensitivity
+from .detector.alignment import AlignmentTable as AlignmentTable
 from .detector.detector import Detector as Detector
 from .detector.detector import load as load
 from .detector.files import detectors as detectors

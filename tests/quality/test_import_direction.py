@@ -20,7 +20,7 @@ CPP_LAYERS = [
     {"readout"},
     {"covariance"},
     {"simulation/transport", "simulation/digitize", "simulation/background", "truth"}
-    | {"reconstruction/cluster", "reconstruction/find", "reconstruction/fit"},
+    | {"reconstruction/cluster", "reconstruction/find", "reconstruction/fit", "calibration"},
     {"kernels"},
     {"bindings"},
 ]
@@ -39,6 +39,7 @@ PYTHON_LAYERS = [
     {"analysis"},
     {"bes3"},
     {"covariance"},
+    {"calibration"},
     {"draw"},
     {"study"},
     {"cli"},

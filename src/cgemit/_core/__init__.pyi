@@ -3,6 +3,7 @@
 # Arrays go in C-contiguous and are converted to the dtype named here; they come out as new arrays that own the
 # memory of the core. Dicts hold one array per column of the tables in docs/data_model.md.
 from cgemit._core import _testing as _testing
+from cgemit._core import calibration as calibration
 from cgemit._core import common as common
 from cgemit._core import covariance as covariance
 from cgemit._core import detector as detector

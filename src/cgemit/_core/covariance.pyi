@@ -24,4 +24,6 @@ def covariances(
     hits: bool = False,
     variants: Sequence[Detector] = [],
     scalar: bool = False,  # with the scalar kernels, whichever are in use
+    dr: npt.ArrayLike = ...,  # mm; none: from the origin
+    dz: npt.ArrayLike = ...,
 ) -> dict[str, Any]: ...

@@ -18,7 +18,7 @@ from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown, Tabular, with_error
 
 #: Parameters of the same muon flown backward: signs of dr, phi0, kappa, dz, tanl; phi0 also turns by pi.
-_BACKWARD = np.array([-1.0, 1.0, -1.0, 1.0, -1.0])
+BACKWARD = np.array([-1.0, 1.0, -1.0, 1.0, -1.0])
 _NAMES = (*helix.PARAMETERS, "p")
 
 
@@ -115,7 +115,7 @@ def cosmics(given: Result | Table) -> Cosmics:
     if len(lower) < 2:
         raise ValueError(f"cosmics: got {len(lower)} events with an upward and a downward track, expected some")
     down, other = _values(tracks, lower), _backward(_values(tracks, upper))
-    cov, cov_other = tracks["cov"][lower], _BACKWARD[:, None] * tracks["cov"][upper] * _BACKWARD
+    cov, cov_other = tracks["cov"][lower], BACKWARD[:, None] * tracks["cov"][upper] * BACKWARD
     parameters, joint, chi2 = _combined(down, cov, other, cov_other)
     difference = _differences(down, other)
     errors = np.sqrt(np.diagonal(cov + cov_other, axis1=1, axis2=2))
@@ -145,11 +145,26 @@ def cosmics(given: Result | Table) -> Cosmics:
 def _halves(tracks: Table) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Return the rows of the upward and the downward track of the events that have one of each and no other."""
     fitted = np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
-    good = fitted & np.isfinite(tracks["cov"]).all(axis=(1, 2))
-    number = np.diff(tracks.offsets)
-    begin = tracks.offsets[:-1][number == 2]
+    return halves(tracks["event"], tracks["phi0"], fitted & np.isfinite(tracks["cov"]).all(axis=(1, 2)))
+
+
+def halves(
+    event: npt.NDArray[np.int64], phi0: Floats, good: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the rows of the upward and the downward track of the events that have one of each and no other.
+
+    Parameters
+    ----------
+    event : ndarray, (n,) int64
+        Growing.
+    phi0 : ndarray, (n,) float64, rad
+    good : ndarray, (n,) bool
+        Tracks that may be one of them.
+    """
+    first = np.flatnonzero(np.diff(event, prepend=event[:1] - 1))
+    begin = first[np.diff(np.append(first, len(event))) == 2]
     begin = begin[good[begin] & good[begin + 1]]
-    upward = np.cos(tracks["phi0"]) > 0  # the flight is along (-sin phi0, cos phi0)
+    upward = np.cos(phi0) > 0  # the flight is along (-sin phi0, cos phi0)
     begin = begin[upward[begin] != upward[begin + 1]]
     first_up = upward[begin]
     return np.where(first_up, begin, begin + 1), np.where(first_up, begin + 1, begin)
@@ -161,7 +176,7 @@ def _values(tracks: Table, rows: npt.NDArray[np.intp]) -> Floats:
 
 def _backward(parameters: Floats) -> Floats:
     """Return helices of the same points, flown in the other direction."""
-    turned = np.array(parameters * _BACKWARD)
+    turned = np.array(parameters * BACKWARD)
     turned[:, 1] += np.pi
     return turned
 

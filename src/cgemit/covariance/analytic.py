@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,6 +111,9 @@ def _states(
 
 _FIT = FitSettings()
 
+#: Covariances that errors of constants add to those of tracks from the origin, (tracks, 15).
+Alignment = Callable[[Tracks], Floats]
+
 
 def analytic(
     detector: Detector | str | Mapping[str, Any],
@@ -125,6 +128,7 @@ def analytic(
     readout: Readout | str | Mapping[str, Any] | None = None,
     reveal_sides: bool = False,
     fit: FitSettings | None = None,
+    alignment: Alignment | None = None,
     samples: int | None = None,
     threads: int | None = None,
 ) -> Covariance:
@@ -155,6 +159,9 @@ def analytic(
         Energy loss, screening, prior, and `least_width` and `delta_strips` of binary clusters, which always have the
         errors of ``cluster_errors="track"``. Matter acts at the momentum `p`, also where no field measures it: the
         assumed `momentum` plays no part.
+    alignment : AlignmentForecast or None
+        Errors of the constants of the detector, as `cgemit.alignment_forecast` forecasts them, which widen the
+        resolutions and are a term of the budget. Only at the origin.
     samples : int or None
         Tracks that are averaged at each point, best a number without a common factor with the numbers of cells of the
         drift chamber. None: 127, or 1 if nothing varies.
@@ -195,11 +202,16 @@ def analytic(
     if readout is not None:
         detector = detector.with_readout(readout)
     points = points_of(particle, p, cos_theta, phi, radius, charge, mass, samples)
-    return covariance_at(points, detector, DigitizeSettings(reveal_sides=reveal_sides), fit, threads)
+    return covariance_at(points, detector, DigitizeSettings(reveal_sides=reveal_sides), fit, threads, alignment)
 
 
 def covariance_at(
-    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None = None
+    points: Points,
+    detector: Detector,
+    digitize: DigitizeSettings,
+    fit: FitSettings,
+    threads: int | None = None,
+    alignment: Alignment | None = None,
 ) -> Covariance:
     """Return the covariances of a detector at points, which serve any number of detectors; see `analytic`.
 
@@ -210,17 +222,22 @@ def covariance_at(
     digitize : DigitizeSettings
     fit : FitSettings
     threads : int or None
+    alignment : callable or None
 
     Raises
     ------
     ValueError
-        If the readout has no expected errors.
+        If the readout has no expected errors, or points at a radius have errors of constants.
     """
     warn_of_losses(detector)
-    hits = _expected_hits(detector, digitize, fit)
-    _, tracks = _tracks(points, detector, hits, fit, threads)
+    _, tracks = tracks_at(points, detector, digitize, fit, threads)
     if points.at_origin:
         columns = tracks.run(budget=False)
+        if alignment is not None:
+            tracks = dataclasses.replace(tracks, alignment=alignment(tracks))
+            columns = columns | {"covariance": columns["covariance"] + tracks.alignment}
+    elif alignment is not None:
+        raise ValueError("alignment: got covariances at a radius; expected covariances at the origin")
     else:
         tracks, columns = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
     p, cos_theta = (np.asarray(0.5 * (low + high)) for low, high in (points.p, points.cos_theta))
@@ -231,16 +248,25 @@ def covariance_at(
 
 def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
     """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
-    hits = _expected_hits(detector, digitize, fit)
-    sample, tracks = _tracks(points, detector, hits, fit, 1)
+    sample, tracks = tracks_at(points, detector, digitize, fit, 1)
     out = tracks.run(budget=False)
     return Entries(sample, out["covariance"], out["status"])
 
 
-def _tracks(
-    points: Points, detector: Detector, hits: ExpectedHits, fit: FitSettings, threads: int | None
+def tracks_at(
+    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None = None
 ) -> tuple[Sample, Tracks]:
-    """Return the sample of points, and its tracks in a detector; see `covariance_at` and `_expected_hits`."""
+    """Return the sample of points, and its tracks in a detector.
+
+    Parameters
+    ----------
+    points : Points
+    detector : Detector
+    digitize : DigitizeSettings
+    fit : FitSettings
+    threads : int or None
+    """
+    hits = expected_hits(detector, digitize, fit)
     number = points.samples or (_SAMPLES if hits.vary or points.vary else 1)
     sample = sample_of(points, number, len(detector.layers))
     scatter = number > 1 and points.at_origin
@@ -274,8 +300,15 @@ class ExpectedHits(NamedTuple):
     vary: bool
 
 
-def _expected_hits(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> ExpectedHits:
-    """Return how hits of a detector are expected."""
+def expected_hits(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> ExpectedHits:
+    """Return how hits of a detector are expected.
+
+    Parameters
+    ----------
+    detector : Detector
+    digitize : DigitizeSettings
+    fit : FitSettings
+    """
     clusterers = tuple(clusterer_of(group.readout) for group in detector.groups)
     return _hit_model(detector, clusterers, digitize.reveal_sides, fit)
 

@@ -130,6 +130,7 @@ _LIGHT = 1e-3  # GeV/c2, above the mass of electrons
 By = Literal["source", "part", "material", "cause"]
 #: Causes of uncertainty.
 MEASUREMENT, SCATTERING, STRAGGLING, PRIOR = "measurement", "scattering", "straggling", "prior"
+ALIGNMENT = "alignment"
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,8 @@ class Source:
     part : str
         Of the detector.
     cause : str
-        ``"measurement"``, ``"scattering"``, ``"straggling"`` or ``"prior"`` (of the filter, negligible).
+        ``"measurement"``, ``"scattering"``, ``"straggling"``, ``"prior"`` (of the filter, negligible) or
+        ``"alignment"`` (errors of the constants of the detector).
     materials : tuple of (str, float)
         Of a scatterer, each with its share of the term: of X/X0 for scattering, of Landau's xi for straggling.
     """
@@ -341,6 +343,11 @@ def budget_of(
     variance += 2 * (weights[:, 2] * weights[:, 4])[:, None] * sums[..., 5]
     variance = np.maximum(variance, 0)  # a term is a square; where its parts cancel, rounding may leave -1e-16 of all
     names = sources(detector)
+    if tracks.alignment is not None:
+        names = (*names, Source(ALIGNMENT, ALIGNMENT, ALIGNMENT))
+        added = known.variance(tracks.alignment, tracks.kappa, tracks.tanl, tracks.charge)
+        per_point = np.nansum(added.reshape(-1, tracks.samples), axis=1, keepdims=True)
+        variance = np.concatenate([variance, per_point], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = variance / np.round(reached.reshape(-1, 1) * tracks.samples)
     shape = (*p.shape, len(names))

@@ -52,6 +52,7 @@ class Tracks:
     phases: Floats
     threads: int | None
     efficiencies: Floats  # (tracks, layers) probability of clusters; (0,): they are certain
+    alignment: Floats | None = None  # (tracks, 15) covariance that errors of constants add
 
     def run(
         self, budget: bool, variants: Sequence[_core.detector.Detector] = (), hits: bool = False

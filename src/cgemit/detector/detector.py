@@ -14,6 +14,13 @@ import numpy.typing as npt
 
 from cgemit.base.errors import DetectorError, Problem, Problems, shown
 from cgemit.detector import check, delphes, export, variants
+from cgemit.detector.alignment import (
+    AlignmentTable,
+    constants_in,
+    displacements_of,
+    misaligned_values,
+    overrides_of,
+)
 from cgemit.detector.build import read_contents
 from cgemit.detector.files import CARD, field_tables, is_file, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known, once
@@ -169,6 +176,67 @@ class Detector(Contents):
         2.0
         """
         return replace_readout(self, readout)
+
+    def with_alignment(self, table: AlignmentTable | Mapping[str, float] | str | os.PathLike[str]) -> Detector:
+        """Return the detector with constants from tracks, or displacements, added to those that it has.
+
+        Parameters
+        ----------
+        table : AlignmentTable, mapping or path
+            Of `cgemit.align`; the CSV file that it writes; or numbers by name, such as ``{"cgem.L1.shift_x": 0.1}``,
+            mm and rad. Constants that were not determined stay as they are.
+
+        Raises
+        ------
+        DetectorError
+            Listing every problem: unknown names, values out of the range of their keys.
+
+        Examples
+        --------
+        >>> det = cg.load("besiii-cgem").with_alignment({"cgem.L1.shift_x": 0.1})
+        >>> det.with_alignment({"cgem.L1.shift_x": 0.05}).cgem["L1"].shift_x
+        0.15000000000000002
+        """
+        values = overrides_of(self, constants_in(table, self.name))
+        return override(self, {**values, "name": self.name}) if values else self
+
+    def misaligned(self, seed: int, sizes: Mapping[str, object]) -> Detector:
+        """Return the detector with displaced parts, for studies of alignment.
+
+        Parameters
+        ----------
+        seed : int
+            A displacement depends on it and on the name of the constant alone.
+        sizes : mapping
+            Standard deviations of random displacements: of the shifts and the turns of parts,
+            ``{"cgem.*": ("100 um", "0.1 mrad")}``, or of one key, ``{"cgem.L1.shift_x": "50 um"}``; later ones count.
+            A pattern and its size, ``{"telescope": "100 um"}``, is added as it is, as well as whole parts can follow
+            it. Patterns are radial, telescope, layer_rotation, curl, bowing, z_expansion, twist, elliptical, skew,
+            clamshell and sagitta.
+
+        Raises
+        ------
+        DetectorError
+            Listing every problem: unknown parts, sizes that are none, patterns that the parts of this detector cannot
+            follow, displacements out of the range of their keys.
+
+        Examples
+        --------
+        >>> det = cg.load("besiii-cgem").misaligned(seed=1, sizes={"cgem.*": ("100 um", "0.1 mrad"), "curl": "50 um"})
+        >>> det.cgem["L1"].is_moved, det.drift_chamber.is_moved
+        (True, True)
+        """
+        return self.with_alignment(misaligned_values(self, seed, sizes))
+
+    def displacements(self) -> AlignmentTable:
+        """Return the displacements of all parts as a table, with status ``"fixed"``.
+
+        Examples
+        --------
+        >>> len(cg.load("besiii-cgem").displacements().name)  # three layers and the chamber
+        24
+        """
+        return displacements_of(self)
 
     @property
     def groups(self) -> tuple[ReadoutGroup, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -250,15 +250,9 @@ def fit(
     [1. 1. 1. 1. 1.] ['ok']
     """
     detector, settings = load(detector), FitSettings.of(settings)
-    core = compiled_matter(detector, settings)
-    hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
+    fitted = fit_columns(detector, clusters, wire_hits, candidates, candidate_hits, settings, start)
+    core, hits, candidate, pdg, mass, charge, radii, out = fitted
     names = settings.hypotheses()
-    candidate, pdg, mass, charge = _with_hypotheses(candidates, names)
-    begin = _start(start, len(candidates))
-    if len(names) > 1:
-        hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
-    radii = start_radii(candidates, settings)[candidate]
-    out = _core.reconstruction.fit(**core_arguments(detector, hits, mass, begin, settings, radii, charge))
     event = candidates["event"].take(candidate)
     about = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder", "hypothesis") if name in candidates.meta}
@@ -276,6 +270,60 @@ def fit(
         columns = state_columns(detector, core, settings.states, tables["tracks"], mass, radii, hits, out, settled)
         tables["states"] = Table("states", columns, **about)
     return tables
+
+
+class FittedColumns(NamedTuple):
+    """Tracks as the core has fitted them, row by row.
+
+    Attributes
+    ----------
+    core : _core.detector.Detector
+        Detector with the matter that the fit assumed.
+    hits : FitHits
+    candidate : ndarray, (n,) int64
+        Row of the candidate.
+    pdg, mass, charge : ndarray, (n,) int, float64 GeV/c2 and int e
+        That were assumed.
+    radii : ndarray, (n,) float64, mm
+        Where the tracks begin.
+    out : dict of str to ndarray
+        Columns of ``_core.reconstruction.fit``; with `FitSettings.states` also those of the last iteration, as `state_columns` takes
+        them.
+    """
+
+    core: _core.detector.Detector
+    hits: FitHits
+    candidate: Column
+    pdg: Column
+    mass: Column
+    charge: Column
+    radii: Floats
+    out: dict[str, npt.NDArray[Any]]
+
+
+def fit_columns(
+    detector: Detector, clusters: Table, wire_hits: Table, candidates: Table, candidate_hits: Table,
+    settings: FitSettings, start: npt.ArrayLike | None = None,
+) -> FittedColumns:  # fmt: skip
+    """Return what the core makes of the hits of every candidate; see `fit`.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters, wire_hits, candidates, candidate_hits : Table
+    settings : FitSettings
+    start : array_like or None
+    """
+    core = compiled_matter(detector, settings)
+    hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
+    names = settings.hypotheses()
+    candidate, pdg, mass, charge = _with_hypotheses(candidates, names)
+    begin = _start(start, len(candidates))
+    if len(names) > 1:
+        hits, begin = _repeated(hits, candidate), begin[candidate] if len(begin) else begin
+    radii = start_radii(candidates, settings)[candidate]
+    out = _core.reconstruction.fit(**core_arguments(detector, hits, mass, begin, settings, radii, charge))
+    return FittedColumns(core, hits, candidate, pdg, mass, charge, radii, out)
 
 
 def _start(given: npt.ArrayLike | None, n: int) -> Floats:

@@ -55,7 +55,8 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                          const Array<double>& charge_array, const Array<double>& scatters,
                          std::size_t samples, const Array<double>& phases, const Array<double>& efficiencies,
                          const py::dict& model_values, bool budget, bool hits,
-                         const std::vector<const Detector*>& variants, bool scalar) {
+                         const std::vector<const Detector*>& variants, bool scalar, const Array<double>& dr,
+                         const Array<double>& dz) {
   const HitModel model = hit_model(model_values);
   const auto n = phi.size();
   const std::vector<double> charge = charges(charge_array, n);
@@ -69,6 +70,7 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
   for (const Detector* variant : variants)
     if (variant == nullptr || !same_surfaces(detector, *variant))
       throw std::invalid_argument("variants: expected the surfaces of the detector in the same order");
+  if ((dr.size() == 0) != (dz.size() == 0)) throw std::invalid_argument("dr, dz: expected both or none");
   // Cells are counted from azimuths of about a turn.
   std::vector<double> psi;
   for (const double azimuth : column(phi, "phi", n))
@@ -84,6 +86,8 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                               .efficiencies = efficiencies.size() == 0
                                                   ? std::span<const double>()
                                                   : matrix(efficiencies, "efficiencies", n, views / 2),
+                              .d = dr.size() == 0 ? std::span<const double>() : column(dr, "dr", n),
+                              .z0 = dz.size() == 0 ? std::span<const double>() : column(dz, "dz", n),
                               .variants = variants,
                               .interrupted = interrupted};
   const BudgetTerms names(detector);
@@ -128,7 +132,10 @@ void bind_covariance(py::module_& module) {
       py::arg("samples"), py::arg("phases"), py::arg_v("efficiencies", Array<double>(0), "..."),
       py::arg("model"), py::arg("budget"), py::arg("hits") = false,
       py::arg("variants") = std::vector<const Detector*>(), py::arg("scalar") = false,
-      "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, without events: columns of "
+      py::arg_v("dr", Array<double>(0), "..."), py::arg_v("dz", Array<double>(0), "..."),
+      "Covariances of (dr, phi0, kappa, dz, tanl) of tracks from the origin, or `dr` and `dz` (mm) beside "
+      "it, "
+      "without events: columns of "
       "the tracks, and if requested the sums of the budget's terms over the samples of each point, and the "
       "expected hits of all tracks (X, V - k x, or signed distance from a wire, mm; variance, mm2). Rows of "
       "`variants` of the detector, which keep the hits of the first one, follow those of the detector. The "

@@ -26,6 +26,7 @@ void bind_find(Module& reconstruction);
 void bind_fit(Module& reconstruction);
 void bind_states(Module& reconstruction);
 void bind_truth(Module& truth);
+void bind_calibration(Module& calibration);
 void bind_testing(Module& core);
 
 PYBIND11_MODULE(_core, core, pybind11::mod_gil_not_used()) {
@@ -63,5 +64,7 @@ PYBIND11_MODULE(_core, core, pybind11::mod_gil_not_used()) {
   bind_states(reconstruction);
   Module truth = core.def_submodule("truth", "Links of hits and tracks to particles.");
   bind_truth(truth);
+  Module calibration = core.def_submodule("calibration", "Constants of the detector from tracks.");
+  bind_calibration(calibration);
   bind_testing(core);
 }

@@ -52,7 +52,9 @@ class CovarianceBatch {
   // Whether the tracks of a point, of which this is the first, are the same but for a turn about the beam
   // line, and enough to record one of them.
   bool turned_only(std::size_t first) const {
-    if (!detector_.field.is_uniform() || input_.samples < std::max<std::size_t>(width, 2)) return false;
+    if (!input_.d.empty() || !detector_.field.is_uniform() ||
+        input_.samples < std::max<std::size_t>(width, 2))
+      return false;
     for (std::size_t i = first; i < first + input_.samples; ++i)
       if (input_.kappa[i] != input_.kappa[first] || input_.tanl[i] != input_.tanl[first] ||
           input_.mass[i] != input_.mass[first] || input_.charge[i] != input_.charge[first] ||
@@ -123,7 +125,9 @@ class CovarianceBatch {
         [&](int i) { return values[std::min(first + static_cast<std::size_t>(i), first + n - 1)]; });
   }
   PerigeeOf<T> perigee(std::size_t first, std::size_t n) const {
-    return {T(0.0), column(input_.psi, first, n), column(input_.kappa, first, n), T(0.0),
+    const bool beside = !input_.d.empty();
+    return {beside ? column(input_.d, first, n) : T(0.0), column(input_.psi, first, n),
+            column(input_.kappa, first, n), beside ? column(input_.z0, first, n) : T(0.0),
             column(input_.tanl, first, n)};
   }
 

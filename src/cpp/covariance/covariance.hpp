@@ -28,7 +28,8 @@ struct HitModel {
   std::array<double, 5> prior_sigma;
 };
 
-// Tracks from the origin. `charge`: unsigned, e. `samples` tracks in a row belong to one point; they share
+// Tracks from the origin, or from the points nearest to the beam line that `d` and `z0` (mm; empty: 0) tell.
+// `charge`: unsigned, e. `samples` tracks in a row belong to one point; they share
 // its entry of the budget. `phases`: for each of the samples a number from 0 to 1 for X and V of every CGEM
 // layer, which determines where the strips lie under the path. `scatters`: 1 for tracks whose trajectory
 // scatters, by angles that belong to the sample; 0 for tracks on the expected trajectory. `efficiencies`: for
@@ -39,6 +40,7 @@ struct CovarianceInput {
   std::span<const double> psi, kappa, tanl, mass, charge, scatters;
   std::size_t samples;
   std::span<const double> phases, efficiencies;
+  std::span<const double> d, z0;
   std::span<const Detector* const> variants;
   Interrupted interrupted = never_interrupted;
 

@@ -13,9 +13,15 @@ namespace cgemit {
 
 namespace {
 
-constexpr Kernels scalar{
-    "scalar",       1, &function_of_lanes<double>, &simulate, &fit_tracks, &covariances, &read_out_analog,
-    &read_out_wires};
+constexpr Kernels scalar{"scalar",
+                         1,
+                         &function_of_lanes<double>,
+                         &simulate,
+                         &fit_tracks,
+                         &covariances,
+                         &alignment_sums,
+                         &read_out_analog,
+                         &read_out_wires};
 std::atomic<const Kernels*> in_use{&scalar};
 
 }  // namespace

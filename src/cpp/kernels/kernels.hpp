@@ -7,6 +7,7 @@
 
 #include <string>
 
+#include "calibration/sums.hpp"
 #include "covariance/covariance.hpp"
 #include "reconstruction/fit/fit.hpp"
 #include "simulation/digitize/analog.hpp"
@@ -24,6 +25,7 @@ struct Kernels {
                    Simulated&);
   void (*fit)(const Detector&, const FitInput&, const FitSettings&, const FitOutput&);
   void (*covariances)(const Detector&, const CovarianceInput&, const HitModel&, const CovarianceOutput&);
+  void (*alignment_sums)(const Detector&, const FittedTracks&, const ColumnMap&, const SumsOutput&);
   void (*read_out_analog)(const Detector&, const TruthColumns&, const StepColumns&, const AnalogModel&,
                           const GainMaps&, Columns<DigiRow>&);
   Columns<WireHitRow> (*read_out_wires)(const Detector&, const WireTruthColumns&, const WireReadout&);

@@ -8,8 +8,9 @@ namespace cgemit {
 
 namespace {
 
-constexpr Kernels these{CGEMIT_ISA,  CGEMIT_LANES, &function_of_lanes<Number>, &simulate,
-                        &fit_tracks, &covariances, &read_out_analog,           &read_out_wires};
+constexpr Kernels these{CGEMIT_ISA,      CGEMIT_LANES,     &function_of_lanes<Number>,
+                        &simulate,       &fit_tracks,      &covariances,
+                        &alignment_sums, &read_out_analog, &read_out_wires};
 
 }  // namespace
 

@@ -1,0 +1,29 @@
+# Constants of the detector from tracks.
+from typing import Any, Final
+
+import numpy.typing as npt
+
+from cgemit._core.detector import Detector
+
+MOST_SHEETS: Final[int]  # of a layer
+MOST_COLUMNS: Final[int]  # constants of one matrix
+
+# `normal` (n, n), `right` and `measured` (n,): sums over the tracks; and of each track `used`, `hits`, `chi2`,
+# `helix` (5), `cov` (5, 5) and, if requested, `bias` (n, 5).
+def sums(
+    detector: Detector,
+    *,
+    columns: dict[str, Any],
+    hit_offsets: npt.ArrayLike,
+    hits: dict[str, Any],
+    reference: npt.ArrayLike,
+    kinks: npt.ArrayLike,
+    mass: npt.ArrayLike,
+    charge: npt.ArrayLike,
+    matter_p: npt.ArrayLike,
+    start_radius: npt.ArrayLike,
+    prior_sigma: Any,
+    bias: bool = False,
+    scattering: bool = True,
+    scalar: bool = False,
+) -> dict[str, Any]: ...

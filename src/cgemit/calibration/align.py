@@ -1,0 +1,367 @@
+"""`align`: constants of a detector from tracks, iterated until the description fits (docs/methods/alignment.md)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cgemit.base.arrays import Floats
+from cgemit.base.errors import Problems
+from cgemit.bes3.events import Bes3Events
+from cgemit.calibration.constants import FIELD, LORENTZ, Constant
+from cgemit.calibration.modes import Modes, Solution, solve
+from cgemit.calibration.settings import AlignmentSettings, plan_of
+from cgemit.calibration.sums import Sums, fitted_sums
+from cgemit.chain.executor import Workers, pool_of
+from cgemit.chain.result import Result
+from cgemit.chain.settings import find_settings, fit_settings
+from cgemit.detector import Detector, load
+from cgemit.detector.alignment import AlignmentTable
+from cgemit.detector.variants import value_at
+from cgemit.reconstruction.candidates import by_finder
+from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
+from cgemit.reconstruction.fit import FitSettings
+from cgemit.tables import Table
+from cgemit.tables.show import Shown, Tabular
+
+#: Tables that alignment takes.
+TAKES = ("clusters", "wire_hits", "candidates", "candidate_hits")
+
+
+@dataclass(frozen=True)
+class Iteration(Tabular):
+    """One iteration of an alignment.
+
+    Attributes
+    ----------
+    tracks, hits, pairs : int
+        That were used.
+    chi2 : float
+        Of the tracks and pairs, before the step.
+    step : float
+        Largest change of a constant, in units of its error.
+    outlier_pull : float
+        Cut on the pulls of hits.
+    """
+
+    tracks: int
+    hits: int
+    pairs: int
+    chi2: float
+    step: float
+    outlier_pull: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Alignment(Shown, Tabular):
+    """Constants of a detector from tracks.
+
+    Attributes
+    ----------
+    table : AlignmentTable
+        Values to be added to those of `before`.
+    detector : Detector
+        With these constants.
+    before : Detector
+        As it was described.
+    solution : Solution
+        Of the last iteration.
+    history : tuple of Iteration
+    improvement : float
+        Chi-square that the first iteration gains with its step.
+    p_value : float
+        Probability of that much if the description were right.
+    converged : bool
+    at_limits : tuple of str
+        Constants that were stopped at the end of their range.
+
+    Examples
+    --------
+    >>> nominal = cg.load("besiii-cgem").with_readout("gaussian")
+    >>> real = nominal.misaligned(seed=3, sizes={"cgem.*": ("100 um", "0.1 mrad")})
+    >>> run = cg.run(real, cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), n=500, fit_detector=nominal)
+    >>> found = cg.align(run)
+    >>> found.converged, len(found.table.name), bool(np.all(np.abs(found.compare(real)) < 5))
+    (True, 18, True)
+    """
+
+    table: AlignmentTable
+    detector: Detector
+    before: Detector
+    solution: Solution
+    history: tuple[Iteration, ...]
+    improvement: float
+    p_value: float
+    converged: bool
+    at_limits: tuple[str, ...]
+
+    @property
+    def cov(self) -> Floats:
+        """Covariance of the free constants, (n, n) float64; 0 in the zero modes."""
+        return self.solution.cov
+
+    @property
+    def zero_modes(self) -> tuple[str, ...]:
+        """Names of the combinations that the data do not determine."""
+        return self.solution.zero_modes
+
+    def modes(self, number: int = 5) -> Modes:
+        """Return the weakest modes."""
+        return self.solution.modes(number)
+
+    def compare(self, real: Detector) -> Floats:
+        """Return the pulls of the free constants against a detector whose constants are known, (n,); for studies.
+
+        Parameters
+        ----------
+        real : Detector
+        """
+        true = np.array([_difference(self.before, real, one) for one in self.solution.constants])
+        value = np.array(self.table.value[: len(true)])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray((value - true) / self.solution.err)
+
+    def columns(self) -> dict[str, tuple[object, ...]]:
+        """Return the table as columns."""
+        return self.table.columns()
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        title, head, rows = self.table._table()
+        last = self.history[-1]
+        return f"{title} from {last.tracks} tracks, {len(self.history)} iterations", head, rows
+
+    def note(self) -> str:
+        """Return what is not determined, and what the first step gains."""
+        lines = [f"chi-square gained {self.improvement:.1f}, p-value {self.p_value:.3g}"]
+        if self.zero_modes:
+            lines.append(f"the data do not determine: {', '.join(self.zero_modes)}")
+        if self.at_limits:
+            lines.append(f"at the end of their range: {', '.join(self.at_limits)}")
+        if not self.converged:
+            lines.append("not converged")
+        return "; ".join(lines)
+
+
+def _difference(before: Detector, real: Detector, constant: Constant) -> float:
+    if constant.name == FIELD:
+        return float(np.log(real.field.bz / before.field.bz))
+    a, b = value_at(before, constant.name), value_at(real, constant.name)
+    return float((b[0] if b else 0.0) or 0.0) - float((a[0] if a else 0.0) or 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Tables of one run, and how its tracks are found and fitted."""
+
+    tables: Mapping[str, Table]
+    fit: FitSettings
+    find: FindSettings | None
+    described: Detector
+
+
+Given = Result | Bes3Events | Mapping[str, Table]
+
+
+def align(
+    runs: Given | Sequence[Given],
+    settings: AlignmentSettings | None = None,
+    *,
+    detector: Detector | str | Mapping[str, Any] | None = None,
+    fit: FitSettings | None = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Alignment:
+    """Determine constants of a detector from the tracks of runs.
+
+    Every iteration fits all tracks with the constants of the one before, sums the normal equations of all free
+    constants, and solves them. Runs with ``finder="ckf"`` are searched for tracks anew each time.
+
+    Parameters
+    ----------
+    runs : Result, Bes3Events, mapping of str to Table, or a sequence of these
+        A mapping holds ``clusters``, ``wire_hits``, ``candidates`` and ``candidate_hits``.
+    settings : AlignmentSettings or None
+    detector : Detector, what `load` accepts, or None
+        Description to be corrected. None: that of the reconstruction of the first run, or of the events.
+    fit : FitSettings or None
+        None: those of each run.
+    threads : int or None
+        That sum; None: one for each core.
+    progress : callable or None
+        Called with the fraction of iterations done.
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    ValueError
+        Listing every problem: patterns that name nothing, runs without tables, no detector, runs that share events of
+        one seed, and tracks that are fewer than the constants.
+
+    Examples
+    --------
+    >>> run = cg.run("besiii-cgem", cg.sample("cosmic"), n=200, readout="gaussian")
+    >>> found = cg.align(run, cg.AlignmentSettings(free=("cgem.*.shift_z",)))
+    >>> found.converged, found.table.status
+    (True, ('free', 'free', 'free'))
+    """
+    settings = AlignmentSettings.of(settings)
+    given = list(runs) if isinstance(runs, Sequence) else [runs]
+    before, sources = _sources(given, detector, fit)
+    free, fixed, priors = plan_of(before, settings)
+    total, history, improvement = np.zeros(len(free)), list[Iteration](), 0.0
+    low, high = _limits(before, free)
+    now, converged, first = before, False, 0.0
+    with pool_of(Workers(threads=threads)) as pool:
+        for number in range(settings.iterations):
+            pull = settings.outlier_pull[min(number, len(settings.outlier_pull) - 1)]
+            sums = Sums.none(len(free))
+            for source in sources:
+                tables = _tables(source, now)
+                cosmic = "cosmic" in settings.pairs
+                tuned = replace(source.fit, outlier_pull=pull)
+                sums = sums + fitted_sums(
+                    now, tables, free, tuned, cosmic=cosmic, scattering=settings.scattering, pool=pool
+                )
+            if sums.tracks <= len(free):
+                problem = f"tracks: got {sums.tracks} that are fitted, expected more than the {len(free)} constants"
+                raise ValueError(f"align:\n  {problem}")
+            found = solve(now, free, sums, priors, total, constrain=settings.zero_modes == "constrained")
+            wanted = np.clip(total + found.value, low, high)
+            step, total = wanted - total, wanted
+            with np.errstate(invalid="ignore", divide="ignore"):
+                moved = np.nan_to_num(np.abs(step) / found.err).max(initial=0.0)
+            if number == 0:
+                improvement = float(found.value @ found.information @ found.value)
+                first = float(np.count_nonzero(found.determined))
+            history.append(Iteration(sums.tracks, sums.hits, sums.pairs, sums.chi2, float(moved), pull))
+            values = {one.name: float(value) for one, value in zip(free, total, strict=True) if value != 0}
+            now = before.with_alignment(values)
+            if progress is not None:
+                progress((number + 1) / settings.iterations)
+            final = pull == settings.outlier_pull[-1]
+            if moved < settings.tolerance and final:
+                converged = True
+                break
+    at_limits = tuple(one.name for one, value, a, b in zip(free, total, low, high, strict=True) if value in (a, b))
+    result = Alignment(
+        found.table(total, fixed), now, before, replace(found, value=total), tuple(history), improvement,
+        _survival(improvement, first), converged, at_limits,
+    )  # fmt: skip
+    if not converged or at_limits:
+        warnings.warn(f"align: {result.note()}", stacklevel=2)
+    return result
+
+
+def _survival(chi2: float, ndf: float) -> float:
+    from scipy.stats import chi2 as distribution
+
+    return float(distribution.sf(chi2, ndf)) if ndf else 1.0
+
+
+def _limits(detector: Detector, constants: Sequence[Constant]) -> tuple[Floats, Floats]:
+    """Return the ends of the range of each constant, as changes of the description, each (n,)."""
+    low, high = [], []
+    for one in constants:
+        found = value_at(detector, one.name)
+        if one.name == FIELD or found is None:
+            low.append(-0.5)
+            high.append(0.5)
+            continue
+        value, limits = found
+        low.append(limits.low - float(value or 0.0))
+        high.append(limits.high - float(value or 0.0))
+    return np.array(low), np.array(high)
+
+
+def _sources(
+    given: Sequence[object], detector: Detector | str | Mapping[str, Any] | None, fit: FitSettings | None
+) -> tuple[Detector, list[_Source]]:
+    """Return the description to be corrected, and the runs."""
+    problems, found = Problems(), list[_Source]()
+    before = None if detector is None else load(detector)
+    if fit is not None:
+        FitSettings.of(fit, "fit")
+    if not given:
+        problems.note("runs", "none", "a run with tracks")
+    for number, one in enumerate(given):
+        path = f"runs[{number}]"
+        described, finds, fits = before, None, fit or FitSettings()
+        tables: dict[str, Any]
+        if isinstance(one, Result):
+            described = one.fit_detector or one.detector
+            tables = {name: one.tables.get(name) for name in TAKES}
+            if all(table is not None for table in tables.values()):
+                tables["clusters"], tables["wire_hits"] = one.fitted_hits
+            finds = find_settings(one.settings, one.gun) if one.finder == "ckf" else None
+            fits = fit or fit_settings(one.settings, one.gun)
+        elif isinstance(one, Bes3Events):
+            described = one.detector
+            tables = {name: getattr(one, name) for name in TAKES}
+        elif isinstance(one, Mapping):
+            tables = {name: one.get(name) for name in TAKES}
+            if described is None:
+                problems.note("detector", "none", "the description that made the tables")
+        else:
+            problems.note(path, type(one).__name__, "a Result, Bes3Events or tables by name")
+            continue
+        missing = [name for name, table in tables.items() if not isinstance(table, Table)]
+        if missing:
+            problems.note(path, f"no {', '.join(missing)}", "clusters, wire_hits, candidates and candidate_hits")
+            continue
+        if described is not None:
+            before = before or described
+            found.append(_Source(tables, fits, finds, described))
+    _note_shared(given, problems)
+    problems.report("align")
+    assert before is not None
+    return before, found
+
+
+def _note_shared(given: Sequence[object], problems: Problems) -> None:
+    """Note runs whose events have the same random numbers: their smearing is the same, and counts twice."""
+    runs = [(number, one) for number, one in enumerate(given) if isinstance(one, Result)]
+    for i, (number, one) in enumerate(runs):
+        for other_number, other in runs[:i]:
+            begin = max(one.first_event, other.first_event)
+            end = min(one.first_event + one.n_events, other.first_event + other.n_events)
+            if one.seed == other.seed and begin < end:
+                text = f"events {begin} to {end - 1} of seed {one.seed}, as runs[{other_number}]"
+                problems.note(f"runs[{number}]", text, "another seed: smearing depends on seed and event alone")
+
+
+def _tables(source: _Source, now: Detector) -> Mapping[str, Table]:
+    """Return the tables of a run with the present constants: clusters shifted, tracks found anew."""
+    tables = dict(source.tables)
+    tables["clusters"] = _shifted(tables["clusters"], source.described, now)
+    if source.find is not None:
+
+        def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
+            return find_tracks.unchecked(detector, clusters, wire_hits, source.find)
+
+        tables |= by_finder(ckf, now, tables["clusters"], tables["wire_hits"])
+    return tables
+
+
+def _shifted(clusters: Table, described: Detector, now: Detector) -> Table:
+    """Return clusters with the Lorentz shifts of another description."""
+    change = np.array([_lorentz(b) - _lorentz(a) for a, b in zip(described.layers, now.layers, strict=True)])
+    if not np.any(change):
+        return clusters
+    stereo = np.array([np.cos(layer.stereo) for layer in now.layers])
+    radius = np.array([layer.r_readout for layer in now.layers])
+    layer = clusters["layer"]
+    return clusters.with_columns(
+        x=clusters["x"] - change[layer], v=clusters["v"] - (change * stereo)[layer],
+        phi=clusters["phi"] - (change / radius)[layer],
+    )  # fmt: skip
+
+
+def _lorentz(layer: Any) -> float:
+    return float(getattr(layer, LORENTZ, None) or 0.0)

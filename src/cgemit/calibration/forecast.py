@@ -1,0 +1,223 @@
+"""`alignment_forecast`: errors of constants that tracks will reach, without events (docs/methods/alignment.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cgemit import helix
+from cgemit.analysis.quantities import UPPER, quantity_of
+from cgemit.base.arrays import Floats
+from cgemit.base.errors import Problems
+from cgemit.base.validate import is_whole
+from cgemit.calibration.constants import columns_of
+from cgemit.calibration.modes import Modes, Solution, solve
+from cgemit.calibration.settings import AlignmentSettings, plan_of
+from cgemit.calibration.sums import WIDER, Sums, as_fitted, core_sums, expected_sums
+from cgemit.chain.executor import Workers, pool_of
+from cgemit.covariance.analytic import tracks_at
+from cgemit.covariance.tracks import Tracks, points_of
+from cgemit.detector import Detector, load
+from cgemit.detector.alignment import AlignmentTable
+from cgemit.particles.gun import Guns, Source
+from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
+from cgemit.simulation.digitize import DigitizeSettings
+from cgemit.tables.show import Shown, Tabular
+
+#: Most events of a sample that are followed; they stand for all.
+MOST_EVENTS = 4000
+_SAMPLES = 127  # tracks of a point, averaged over azimuth
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AlignmentForecast(Shown, Tabular):
+    """Errors of constants that samples of tracks will reach.
+
+    Attributes
+    ----------
+    detector : Detector
+    settings : AlignmentSettings
+    table : AlignmentTable
+        With the value 0 of all constants.
+    sums : Sums
+        Of all samples; `alignment_forecast` with other settings needs new ones.
+    solution : Solution
+    fit : FitSettings
+
+    Examples
+    --------
+    >>> muons, cosmics = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), cg.sample("cosmic")
+    >>> forecast = cg.alignment_forecast("besiii-cgem", [(muons, 10_000), (cosmics, 10_000)])
+    >>> len(forecast.table.name), forecast.zero_modes
+    (18, ())
+    >>> induced = forecast.induced("mu-", p=1.0, cos_theta=0.0)  # mm, mm, GeV/c
+    >>> 0 < induced["dr"] < 0.02
+    True
+    """
+
+    detector: Detector
+    settings: AlignmentSettings
+    table: AlignmentTable
+    sums: Sums
+    solution: Solution
+    fit: FitSettings
+
+    @property
+    def cov(self) -> Floats:
+        """Covariance of the free constants, (n, n) float64; 0 in the zero modes."""
+        return self.solution.cov
+
+    @property
+    def zero_modes(self) -> tuple[str, ...]:
+        """Names of the combinations that the samples do not determine."""
+        return self.solution.zero_modes
+
+    def modes(self, number: int = 5) -> Modes:
+        """Return the weakest modes, zero modes first, each with the name of the nearest pattern."""
+        return self.solution.modes(number)
+
+    def induced(self, particle: str = "mu-", p: Any = 1.0, cos_theta: Any = 0.0) -> dict[str, float]:
+        """Return the errors of one track's parameters that the errors of the constants make, averaged over azimuth.
+
+        Parameters
+        ----------
+        particle, p, cos_theta
+            As of `cgemit.analytic`, one point.
+
+        Returns
+        -------
+        dict of str to float
+            ``dr`` and ``dz`` (mm), ``p`` (GeV/c).
+        """
+        points = points_of(particle, p, cos_theta, samples=_SAMPLES)
+        _, tracks = tracks_at(points, self.detector, DigitizeSettings(), self.fit)
+        added = self(tracks)
+        found = {}
+        for name in ("dr", "dz", "p"):
+            known = quantity_of(name)
+            variance = known.variance(added, tracks.kappa, tracks.tanl, tracks.charge)
+            found[name] = float(np.sqrt(np.nanmean(variance)) / known.factor)
+        return found
+
+    def __call__(self, tracks: Tracks) -> Floats:
+        """Return the covariances of helices that the errors of the constants make.
+
+        Parameters
+        ----------
+        tracks : Tracks
+            From the origin.
+
+        Returns
+        -------
+        ndarray, (tracks, 15) float64
+            The upper triangle; NaN for tracks without hits.
+        """
+        n, core = len(tracks.kappa), compiled_for_fit(tracks.detector, tracks.fit)
+        zero = np.zeros(n)
+        phi0 = helix.wrap_angle(tracks.phi - 0.5 * np.pi)
+        helices = np.stack([zero, phi0, tracks.kappa, zero, tracks.tanl], axis=1)
+        expected = tracks.run(budget=False, hits=True)
+        offsets, hits, given, good = as_fitted(core, expected, helices, tracks.mass, tracks.charge)
+        prior = [WIDER * sigma for sigma in tracks.fit.prior_in(tracks.detector)]
+        columns = columns_of(tracks.detector, self.solution.constants)
+        bias = core_sums(core, columns, offsets, hits, given, good, prior, bias=True)["bias"]
+        found = np.full((n, 15), np.nan)
+        found[good] = np.einsum("nci,cd,ndj->nij", bias, self.cov, bias, optimize=True)[:, UPPER[0], UPPER[1]]
+        return found
+
+    def columns(self) -> dict[str, tuple[object, ...]]:
+        """Return the table as columns."""
+        return self.table.columns()
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        rows = []
+        for name, unit, err, correlation, status in zip(
+            self.table.name, self.table.unit, self.table.err, self.table.global_correlation, self.table.status,
+            strict=True,
+        ):  # fmt: skip
+            factor, shown = {"mm": (1e3, "um"), "rad": (1e6, "urad")}.get(unit, (1.0, ""))
+            rows.append(
+                [name, shown, f"{factor * err:.4g}" if np.isfinite(err) else "-",
+                 f"{correlation:.3f}" if np.isfinite(correlation) else "-", status]
+            )  # fmt: skip
+        title = f"{self.detector.name}: errors of {len(rows)} constants from {self.sums.tracks} tracks"
+        return title, ("constant", "unit", "error", "correlation", "status"), rows
+
+    def note(self) -> str:
+        """Return what is not determined."""
+        return f"not determined: {', '.join(self.zero_modes)}" if self.zero_modes else ""
+
+
+def alignment_forecast(
+    detector: Detector | str | Mapping[str, Any],
+    samples: Sequence[tuple[Source | Guns, int]],
+    settings: AlignmentSettings | None = None,
+    *,
+    fit: FitSettings | None = None,
+    reveal_sides: bool = False,
+    seed: int = 1,
+    threads: int | None = None,
+) -> AlignmentForecast:
+    """Forecast the errors of constants from samples of tracks, without simulation.
+
+    The tracks are those that the samples shoot, with their own directions and vertices. Each is expected to leave the
+    hits of `analytic`. Up to 4000 events of a sample are followed and stand for all.
+
+    Parameters
+    ----------
+    detector : Detector, or what `load` accepts
+    samples : sequence of (Source, int)
+        Guns and samples, each with its number of events.
+    settings : AlignmentSettings or None
+        Cuts and iterations play no part.
+    fit : FitSettings or None
+    reveal_sides : bool
+        Whether wire hits tell their side.
+    seed : int
+        Of the directions.
+    threads : int or None
+        None: all cores.
+
+    Returns
+    -------
+    AlignmentForecast
+
+    Raises
+    ------
+    ValueError
+        Listing every problem of the samples and the settings.
+
+    Examples
+    --------
+    >>> gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
+    >>> settings = cg.AlignmentSettings(free=("cgem.*.shift_z",))
+    >>> cg.alignment_forecast("besiii-cgem", [(gun, 10_000)], settings).table.status
+    ('free', 'free', 'free')
+    """
+    detector, settings, fit = load(detector), AlignmentSettings.of(settings), FitSettings.of(fit, "fit")
+    problems = Problems()
+    pairs = list(samples) if isinstance(samples, Sequence) else []
+    if not pairs:
+        problems.note("samples", repr(samples)[:80], "pairs of a gun or sample and its number of events")
+    for number, pair in enumerate(pairs):
+        if not (isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], Source | Guns)):
+            problems.note(f"samples[{number}]", repr(pair)[:80], "a gun or sample and its number of events")
+        elif not is_whole(pair[1], 1, 2**62):
+            problems.note(f"samples[{number}]", repr(pair[1])[:80], "a whole number of events, at least 1")
+    problems.report("alignment_forecast")
+    free, fixed, priors = plan_of(detector, settings)
+    total = Sums.none(len(free))
+    with pool_of(Workers(threads=threads)) as pool:
+        for number, (source, events) in enumerate(pairs):
+            followed = min(events, MOST_EVENTS)
+            # Samples share no direction.
+            sums = expected_sums(
+                detector, source, followed, free, fit, seed=seed + number, reveal_sides=reveal_sides,
+                cosmic="cosmic" in settings.pairs, pool=pool,
+            )  # fmt: skip
+            total = total + sums.scaled(events / followed)
+    found = solve(detector, free, total, priors, constrain=settings.zero_modes == "constrained")
+    return AlignmentForecast(detector, settings, found.table(fixed=fixed), total, found, fit)

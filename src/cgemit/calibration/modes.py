@@ -1,0 +1,308 @@
+"""Solution of the normal equations of constants: errors, modes, and what the data do not determine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.base.arrays import Floats
+from cgemit.calibration.constants import LORENTZ, Constant
+from cgemit.calibration.sums import Sums
+from cgemit.detector import Detector
+from cgemit.detector.alignment import PATTERNS, AlignmentTable, pattern_values
+from cgemit.detector.parts import PLACEMENT
+from cgemit.detector.variants import value_at
+from cgemit.tables.show import Shown, Tabular
+
+#: Information on a mode over that of its constants with known tracks, below which it is rounding and the prior.
+_NONE = 1e-7
+#: The same for modes that have no known name, in units of the mean of all.
+_ROUNDING = 1e-10
+#: Share of a constant in a zero mode from which on it is not determined.
+_PART = 1e-4
+
+
+def known_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, Floats]:
+    """Return displacements that tracks may not see, each (constants,) float64, by name.
+
+    Parameters
+    ----------
+    detector : Detector
+    constants : sequence of Constant
+        Free ones.
+    """
+    names = [one.name for one in constants]
+    parts = {one.part for one in constants if one.key in PLACEMENT}
+    found: dict[str, Floats] = {}
+    for key in PLACEMENT:
+        found[f"common {key}"] = _vector(names, {f"{part}.{key}": 1.0 for part in parts})
+    # A turn of all about the beam line turns the shifts, too.
+    for part in parts:
+        shift_x, shift_y = (_value(detector, f"{part}.shift_{axis}") for axis in "xy")
+        found["common rotation"] += _vector(names, {f"{part}.shift_x": -shift_y, f"{part}.shift_y": shift_x})
+    for layer in detector.cgem:
+        path = f"cgem.{layer.label}"
+        values = {f"{path}.{LORENTZ}": layer.r_readout, f"{path}.rotation": 1.0}
+        if values.keys() <= set(names):
+            # About the axis of the layer itself.
+            values |= {f"{path}.tilt_x": layer.tilt_y, f"{path}.tilt_y": -layer.tilt_x}
+            found[f"Lorentz shift and rotation of {layer.label}"] = _vector(names, values)
+    for name in names:
+        found[name] = _vector(names, {name: 1.0})
+    return {name: vector for name, vector in found.items() if np.any(vector)}
+
+
+def _value(detector: Detector, name: str) -> float:
+    found = value_at(detector, name)
+    return float(found[0]) if found else 0.0
+
+
+def _vector(names: Sequence[str], values: Mapping[str, float]) -> Floats:
+    return np.array([values.get(name, 0.0) for name in names])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Shown, Tabular):
+    """Combinations of constants that the data determine worst.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the nearest pattern.
+    shares : tuple of float
+        Square of the cosine between mode and pattern, 0 to 1.
+    sizes : tuple of float
+        Error of the mode: standard deviation of its largest displacement, mm; infinite for zero modes.
+    shapes : ndarray, (modes, constants) float64
+        Mode of its largest displacement 1 mm.
+    constants : tuple of str
+    """
+
+    names: tuple[str, ...]
+    shares: tuple[float, ...]
+    sizes: tuple[float, ...]
+    shapes: Floats
+    constants: tuple[str, ...]
+
+    def columns(self) -> dict[str, list[object]]:
+        """Return name, share, size (mm) and the constants of each mode."""
+        found: dict[str, list[object]] = {
+            "name": list(self.names), "share": list(self.shares), "size_mm": list(self.sizes)
+        }  # fmt: skip
+        return found | {name: list(self.shapes[:, i]) for i, name in enumerate(self.constants)}
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        rows = [
+            [name, f"{share:.2f}", f"{1e3 * size:.4g}" if np.isfinite(size) else "not determined"]
+            for name, share, size in zip(self.names, self.shares, self.sizes, strict=True)
+        ]
+        return "weakest modes", ("nearest pattern", "share", "error [um]"), rows
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Constants that sums determine, and their errors.
+
+    Attributes
+    ----------
+    constants : tuple of Constant
+        Free ones.
+    value : ndarray, (n,) float64
+        To be added to the description: mm, rad or 1; 0 for those that are not determined.
+    cov : ndarray, (n, n) float64
+        0 in the zero modes.
+    status : tuple of str
+        As in `AlignmentTable`.
+    prior : ndarray, (n,) float64
+        Errors of surveys; NaN: none.
+    zero_modes : tuple of str
+        Names of the combinations that the data do not determine.
+    information : ndarray, (n, n) float64
+        Of data and surveys.
+    """
+
+    detector: Detector
+    constants: tuple[Constant, ...]
+    value: Floats
+    cov: Floats
+    status: tuple[str, ...]
+    prior: Floats
+    zero_modes: tuple[str, ...]
+    zeros: Floats
+    information: Floats
+    measured: Floats
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the constants."""
+        return tuple(one.name for one in self.constants)
+
+    @property
+    def determined(self) -> npt.NDArray[np.bool_]:
+        """Whether each constant has a number, (n,) bool."""
+        return np.array([status != "undetermined" for status in self.status], bool)
+
+    @cached_property
+    def err(self) -> Floats:
+        """Standard deviations, (n,); NaN without a number."""
+        return np.where(self.determined, np.sqrt(np.maximum(np.diagonal(self.cov), 0)), np.nan)
+
+    @property
+    def global_correlation(self) -> Floats:
+        """Correlation of each constant with all others together, (n,); NaN without a number."""
+        both = np.diagonal(self.cov) * np.diagonal(self.information)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found = np.sqrt(np.clip(1 - 1 / both, 0, 1))
+        return np.where(self.determined, found, np.nan)
+
+    def table(self, total: Floats | None = None, fixed: Sequence[Constant] = ()) -> AlignmentTable:
+        """Return the constants as a table.
+
+        Parameters
+        ----------
+        total : ndarray or None, (n,) float64
+            Values instead of those of this solution.
+        fixed : sequence of Constant
+            Of value 0, after the others.
+        """
+        value = np.where(self.determined, self.value if total is None else total, np.nan)
+        nan = (np.nan,) * len(fixed)
+        every = (*self.constants, *fixed)
+        return AlignmentTable(
+            tuple(one.name for one in every), tuple(one.unit for one in every),
+            (*map(float, value), *((0.0,) * len(fixed))),
+            (*map(float, self.err), *nan), (*map(float, self.prior), *nan),
+            (*map(float, self.global_correlation), *nan), (*self.status, *(("fixed",) * len(fixed))),
+        )  # fmt: skip
+
+    def modes(self, number: int = 5) -> Modes:
+        """Return the weakest modes, zero modes first.
+
+        Parameters
+        ----------
+        number : int
+        """
+        reach = np.array([_reach(self.detector, one) for one in self.constants])
+        patterns = _patterns(self.detector, self.names)
+        shapes = [zero / max(np.abs(zero * reach).max(), 1e-300) for zero in self.zeros]
+        sizes, names, shares = [np.inf] * len(shapes), list(self.zero_modes), [1.0] * len(shapes)
+        # In displacements, not in numbers of mm and rad.
+        values, vectors = np.linalg.eigh(self.cov * reach[:, None] * reach)
+        for i in np.argsort(-values)[: max(number - len(shapes), 0)]:
+            moved = vectors[:, i] / np.abs(vectors[:, i]).max()
+            found = {
+                name: float(np.dot(moved, one * reach) ** 2 / np.dot(moved, moved) / np.dot(one * reach, one * reach))
+                for name, one in patterns.items()
+            }
+            best = max(found, key=lambda name: found[name]) if found else ""
+            shapes.append(moved / reach)
+            sizes.append(float(np.sqrt(max(values[i], 0)) * np.abs(vectors[:, i]).max()))
+            names.append(best)
+            shares.append(found.get(best, 0.0))
+        shown = slice(0, number)
+        array = np.array(shapes[shown]).reshape(-1, len(self.constants))
+        return Modes(tuple(names[shown]), tuple(shares[shown]), tuple(sizes[shown]), array, self.names)
+
+
+def _reach(detector: Detector, constant: Constant) -> float:
+    """Return the displacement of the farthest point of a part by one unit of a constant, mm."""
+    if constant.unit == "mm":
+        return 1.0
+    chamber = detector.drift_chamber
+    r = max([layer.r_readout for layer in detector.layers] + ([chamber.layers[-1].r_end] if chamber else []))
+    half = max([layer.half_length for layer in detector.layers])
+    for layer in detector.layers:
+        if layer.label == constant.part.rpartition(".")[2]:
+            r, half = layer.r_readout, layer.half_length
+    return half if constant.key.startswith("tilt") else r
+
+
+def _patterns(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:
+    """Return the constants of each pattern that the parts can follow."""
+    found = {name: _vector(names, pattern_values(detector, name)[0]) for name in PATTERNS}
+    parts = {name.rpartition(".")[0] for name in names if name.rpartition(".")[2] in PLACEMENT}
+    for key in PLACEMENT:
+        found[f"common {key}"] = _vector(names, {f"{part}.{key}": 1.0 for part in parts})
+    found |= {name: _vector(names, {name: 1.0}) for name in names}
+    return {name: vector for name, vector in found.items() if np.any(vector)}
+
+
+def solve(
+    detector: Detector, constants: Sequence[Constant], sums: Sums, priors: Mapping[str, float],
+    offset: Floats | None = None, *, constrain: bool = False,
+) -> Solution:  # fmt: skip
+    """Solve the normal equations.
+
+    Parameters
+    ----------
+    detector : Detector
+    constants : sequence of Constant
+    sums : Sums
+    priors : mapping of str to float
+        Errors of surveys by name.
+    offset : ndarray or None, (n,) float64
+        Present values of the constants minus those of the survey. None: 0.
+    constrain : bool
+        Whether zero modes are set to 0; otherwise the constants in them are not determined.
+    """
+    n = len(constants)
+    prior = np.array([priors.get(one.name, np.nan) for one in constants])
+    survey = np.where(np.isfinite(prior), 1 / prior**2, 0.0)
+    seen = sums.measured > 0
+    known = seen | (survey > 0)
+    scale = np.zeros(n)
+    scale[known] = 1 / np.sqrt(np.where(seen, sums.measured, survey)[known])
+    normal = sums.normal * scale[:, None] * scale
+    right = (sums.right - survey * (0.0 if offset is None else offset)) * scale
+    names, zeros = [], np.zeros((0, n))
+    for name, vector in known_modes(detector, constants).items():
+        if np.any((vector != 0) & ~seen):
+            continue
+        scaled = np.divide(vector, scale, out=np.zeros(n), where=scale > 0)
+        information = float(vector @ sums.normal @ vector) / float(scaled @ scaled)
+        rest = scaled - zeros.T @ (zeros @ scaled)
+        if information < _NONE and rest @ rest > 1e-6 * (scaled @ scaled):
+            zeros = np.vstack([zeros, rest / np.linalg.norm(rest)])
+            names.append(name)
+    # What is known not to be seen is taken out of the data: rounding must not look like information.
+    normal = _without(normal, zeros)
+    values, vectors = np.linalg.eigh(normal)
+    for i in np.flatnonzero(values < _ROUNDING):
+        vector = np.where(seen, vectors[:, i], 0.0)
+        rest = vector - zeros.T @ (zeros @ vector)
+        if rest @ rest > 1e-3:
+            zeros = np.vstack([zeros, rest / np.linalg.norm(rest)])
+            names.append(constants[int(np.abs(rest).argmax())].name + " and others")
+    normal = _without(normal, zeros) + np.diag(survey * scale**2)
+    right = right - zeros.T @ (zeros @ (sums.right * scale))
+    # Surveys may determine some of them.
+    inside = zeros @ np.diag(survey * scale**2) @ zeros.T
+    strengths, turned = np.linalg.eigh(inside) if len(zeros) else (np.zeros(0), np.zeros((0, 0)))
+    open_ = (turned.T @ zeros)[strengths < 1e-14] if len(zeros) else zeros
+    if len(zeros) and len(open_) == len(zeros):
+        open_names = tuple(names)
+        open_ = zeros
+    else:
+        open_names = tuple(names[int(np.abs(turned[:, i]).argmax())] for i in range(len(names)) if strengths[i] < 1e-14)
+    unseen = np.eye(n)[~known]
+    full = normal + open_.T @ open_ + unseen.T @ unseen
+    inverse = np.linalg.inv(full) - open_.T @ open_ - unseen.T @ unseen
+    inverse = 0.5 * (inverse + inverse.T)
+    in_zero = np.sqrt(np.sum(open_**2, axis=0)) > _PART
+    status = np.where(~known, "undetermined", np.where(in_zero, "constrained" if constrain else "undetermined", "free"))
+    value = scale * (inverse @ right)
+    value[status == "undetermined"] = 0.0
+    physical = open_ * scale
+    return Solution(
+        detector, tuple(constants), value, inverse * scale[:, None] * scale, tuple(map(str, status)), prior,
+        open_names, physical, sums.normal + np.diag(survey), sums.measured,
+    )  # fmt: skip
+
+
+def _without(normal: Floats, zeros: Floats) -> Floats:
+    kept = np.eye(len(normal)) - zeros.T @ zeros
+    return np.asarray(kept @ normal @ kept)

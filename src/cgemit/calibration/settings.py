@@ -1,0 +1,112 @@
+"""Settings of alignment: which constants are free, and how tracks determine them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from cgemit.base.errors import Problems
+from cgemit.base.settings import SettingsData
+from cgemit.base.validate import Check, Positive
+from cgemit.calibration.constants import FIELD, LORENTZ, Constant, chosen, constants_of, priors_of
+from cgemit.detector import Detector
+from cgemit.reconstruction.fit import Pull
+
+Turns = Annotated[int, Check(lambda value: 1 <= value <= 50, "a whole number from 1 to 50")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignmentSettings(SettingsData):
+    """Which constants of a detector are determined, and how.
+
+    Attributes
+    ----------
+    free : tuple of str
+        Parts, all displacements of which are free, such as ``"cgem.*"``, ``"layer.PIX"`` and ``"drift_chamber"``, and
+        constants by their names, such as ``"cgem.*.shift_z"``. Other parts stay where the description puts them: the
+        constants are relative to them.
+    fixed : tuple of str
+        Of those, which stay as they are.
+    calibrate : tuple of str
+        Constants that are no displacement: ``"lorentz"``, shift of the clusters of each CGEM layer without an analog
+        readout, which is known only if the layer's rotation is; ``"field"``, ln of its scale, which tracks without
+        a known mass or momentum do not tell.
+    priors : tuple of str
+        Errors of surveys, ``"cgem.*.shift_z=100 um"``; later ones count. The survey says that the description is right.
+    zero_modes : str
+        What becomes of constants that the data determine only in combinations: ``"undetermined"``, they get no number;
+        ``"constrained"``, combinations that the data do not see are set to 0.
+    pairs : tuple of str
+        Tracks that are joined: ``"cosmic"``, an upward and a downward track that are alone in their event are the
+        halves of one muon.
+    scattering : bool
+        Whether matter scatters in the normal equations. Without, errors are too small (docs/methods/alignment.md).
+    outlier_pull : tuple of float
+        Cut on the pulls of hits in each iteration; the last one counts for all later ones. 0: no cut.
+    iterations : int
+        Most iterations.
+    tolerance : float
+        Alignment ends where no constant moves by more than this, in units of its error.
+
+    Raises
+    ------
+    SettingsError
+        A ValueError that lists every wrong value.
+
+    Examples
+    --------
+    >>> settings = cg.AlignmentSettings(free=("cgem.*",), fixed=("cgem.L1.tilt_*",))
+    >>> forecast = cg.alignment_forecast("besiii-cgem", [(cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), 1000)], settings)
+    >>> forecast.table.status.count("free"), forecast.table.status.count("fixed")
+    (16, 2)
+    """
+
+    free: tuple[str, ...] = ("cgem.*",)
+    fixed: tuple[str, ...] = ()
+    calibrate: tuple[Literal["lorentz", "field"], ...] = ()
+    priors: tuple[str, ...] = ()
+    zero_modes: Literal["undetermined", "constrained"] = "undetermined"
+    pairs: tuple[Literal["cosmic"], ...] = ("cosmic",)
+    scattering: bool = True
+    outlier_pull: tuple[Pull, ...] = (0.0, 8.0, 5.0)
+    iterations: Turns = 8
+    tolerance: Positive = 0.1
+
+    def contradictions(self, problems: Problems) -> None:
+        """Note settings without any constant or cut."""
+        if isinstance(self.free, tuple) and not self.free and not self.calibrate:
+            problems.note("free", "()", "a part or a constant, or something to calibrate")
+        if isinstance(self.outlier_pull, tuple) and not self.outlier_pull:
+            problems.note("outlier_pull", "()", "a cut for each iteration, at least one")
+
+
+def plan_of(
+    detector: Detector, settings: AlignmentSettings
+) -> tuple[tuple[Constant, ...], tuple[Constant, ...], Mapping[str, float]]:
+    """Return the free constants, those that are fixed by name, and the errors of surveys by name.
+
+    Parameters
+    ----------
+    detector : Detector
+    settings : AlignmentSettings
+
+    Raises
+    ------
+    ValueError
+        Listing every pattern that names nothing, and every prior that is none.
+    """
+    problems, every = Problems(), constants_of(detector)
+    free = chosen(every, settings.free, "free", problems)
+    keys: dict[str, Any] = {"lorentz": f"cgem.*.{LORENTZ}", "field": FIELD}
+    free |= chosen(every, [keys[name] for name in settings.calibrate], "calibrate", problems)
+    fixed = chosen(every, settings.fixed, "fixed", problems)
+    priors = priors_of(every, settings.priors, problems)
+    if free and not free - fixed:
+        problems.note("fixed", "all that is free", "a constant that is left free")
+    problems.report("alignment")
+    return (
+        tuple(one for one in every if one.name in free - fixed),
+        tuple(one for one in every if one.name in fixed),
+        {name: error for name, error in priors.items() if name in free - fixed},
+    )

@@ -1,0 +1,418 @@
+"""Constants of a detector from tracks as a table, and the detector with them (docs/methods/alignment.md)."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from cgemit import _core
+from cgemit.base.arrays import Floats
+from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
+from cgemit.base.files import new_file, read_text
+from cgemit.base.validate import is_whole, number
+from cgemit.detector.keys import Known
+from cgemit.detector.parts import PLACEMENT, CgemLayer, Contents
+from cgemit.detector.variants import value_at
+from cgemit.tables.show import Shown, Tabular, with_error
+from cgemit.units import QuantityError, parse_quantity
+
+#: How a constant was treated.
+STATUSES = ("free", "fixed", "undetermined", "constrained")
+#: ln of the field over that of the description.
+FIELD_SCALE = "field.scale"
+_COLUMNS = ("name", "unit", "value", "err", "prior", "global_correlation", "status")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AlignmentTable(Shown, Tabular):
+    """Constants of a detector with their errors, one row each.
+
+    Attributes
+    ----------
+    name : tuple of str
+        Dotted keys of the detector file, such as ``"cgem.L1.shift_x"``; ``"field.scale"`` is ln of the field over that
+        of the description.
+    unit : tuple of str
+        ``"mm"``, ``"rad"`` or empty.
+    value, err : tuple of float
+        To be added to the description; NaN for constants that the data do not determine.
+    prior : tuple of float
+        Error of the survey; NaN: none.
+    global_correlation : tuple of float
+        With all other constants together, 0 to 1.
+    status : tuple of str
+        ``"free"``, ``"fixed"``, ``"undetermined"``, or ``"constrained"``: determined only together with the condition
+        that the zero modes are 0.
+
+    Examples
+    --------
+    >>> det = cg.load("besiii-cgem")
+    >>> moved = det.misaligned(seed=1, sizes={"cgem.*": ("100 um", "0.1 mrad")})
+    >>> table = moved.displacements()
+    >>> len(table.name), det.with_alignment(table).cgem["L1"].shift_x == moved.cgem["L1"].shift_x
+    (18, True)
+    """
+
+    name: tuple[str, ...]
+    unit: tuple[str, ...]
+    value: tuple[float, ...]
+    err: tuple[float, ...]
+    prior: tuple[float, ...]
+    global_correlation: tuple[float, ...]
+    status: tuple[str, ...]
+
+    def columns(self) -> dict[str, tuple[object, ...]]:
+        """Return the columns by name."""
+        return {name: getattr(self, name) for name in _COLUMNS}
+
+    def values(self) -> dict[str, float]:
+        """Return the values that were determined, or fixed, by name."""
+        return {name: value for name, value in zip(self.name, self.value, strict=True) if math.isfinite(value)}
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the table as CSV, from which `load` and `Detector.with_alignment` read it back exactly.
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `overwrite` is false.
+        """
+        with (
+            new_file(path, overwrite=overwrite) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_COLUMNS)
+            rows = zip(*self.columns().values(), strict=True)
+            writer.writerows([repr(one) if isinstance(one, float) else one for one in row] for row in rows)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> AlignmentTable:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        DetectorError
+            Listing every problem of the file.
+        """
+        try:
+            rows = list(csv.reader(read_text(path).splitlines()))
+        except (OSError, ValueError) as error:
+            raise DetectorError(str(path), [Problem("", str(error), "a table of constants (CSV)")]) from error
+        if not rows or tuple(rows[0]) != _COLUMNS:
+            given = ", ".join(rows[0]) if rows else "nothing"
+            raise DetectorError(str(path), [Problem("columns", given[:200], ", ".join(_COLUMNS))])
+        problems, found = [], []
+        for line, row in enumerate(rows[1:], start=2):
+            if len(row) != len(_COLUMNS):
+                problems.append(Problem(f"line {line}", f"{len(row)} values", f"{len(_COLUMNS)}"))
+                continue
+            numbers = [_number(text) for text in row[2:6]]
+            for text, value, name in zip(row[2:6], numbers, _COLUMNS[2:6], strict=True):
+                if value is None:
+                    problems.append(Problem(f"line {line}: {name}", repr(text), "a number or nan"))
+            if row[6] not in STATUSES:
+                problems.append(Problem(f"line {line}: status", repr(row[6]), f"one of {', '.join(STATUSES)}"))
+            found.append((row[0], row[1], *numbers, row[6]))
+        if problems:
+            raise DetectorError(str(path), problems)
+        return cls(*map(tuple, zip(*found, strict=True))) if found else cls(*((),) * 7)
+
+    def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        rows = []
+        for name, unit, value, err, prior, correlation, status in zip(*self.columns().values(), strict=True):
+            factor, shown = {"mm": (1e3, "um"), "rad": (1e3, "mrad")}.get(str(unit), (1.0, ""))
+            number = with_error(factor * value, factor * err) if np.isfinite(value) else "-"
+            if status == "fixed":
+                number = f"{factor * value:g}"
+            survey = f"{factor * prior:g}" if np.isfinite(prior) else "-"
+            shared = f"{correlation:.3f}" if np.isfinite(correlation) else "-"
+            rows.append([str(name), shown, number, survey, shared, str(status)])
+        return f"{len(rows)} constants", ("constant", "unit", "value", "survey", "correlation", "status"), rows
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def constants_in(given: object, source: str) -> dict[str, float]:
+    """Return values by name of what `Detector.with_alignment` takes.
+
+    Parameters
+    ----------
+    given : AlignmentTable, mapping, or path of a table
+    source : str
+        For messages.
+
+    Raises
+    ------
+    DetectorError
+        If it is none of these, or the file has problems.
+    """
+    if isinstance(given, str | os.PathLike):
+        given = AlignmentTable.load(Path(given))
+    if isinstance(given, AlignmentTable):
+        return given.values()
+    numbers = given.items() if isinstance(given, Mapping) else ()
+    if not isinstance(given, Mapping) or not all(
+        isinstance(name, str) and isinstance(value, int | float | np.number) for name, value in numbers
+    ):
+        expected = "a table of constants, its path, or numbers by name"
+        raise DetectorError(source, [Problem("with_alignment", type(given).__name__, expected)])
+    return {name: float(value) for name, value in numbers}
+
+
+def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, object]:
+    """Return the keys of a detector whose constants are larger by some values, with their new values.
+
+    Parameters
+    ----------
+    detector : Contents
+    values : mapping of str to float
+        By name, mm, rad or 1.
+
+    Raises
+    ------
+    DetectorError
+        Listing every name that is no number of the detector, and every value that is not finite.
+    """
+    problems, found = list[Problem](), dict[str, object]()
+    for name, change in values.items():
+        path = "field.bz" if name == FIELD_SCALE else name
+        now = value_at(detector, path)
+        if now is None or now[1].kind not in ("length", "angle", "field"):
+            hint = did_you_mean(name, [FIELD_SCALE])
+            problems.append(Problem(name, f"{change:g}", "the dotted key of a displacement of the detector", hint))
+        elif not math.isfinite(change):
+            problems.append(Problem(name, f"{change:g}", "a finite number"))
+        else:
+            before = float(now[0] or 0.0)
+            found[path] = Known(before * math.exp(change) if name == FIELD_SCALE else before + change)
+    if problems:
+        raise DetectorError(detector.name, problems)
+    return found
+
+
+#: Patterns of displacement of a whole detector that tracks constrain weakly. (Formulas as in the lists of weak modes
+#: of CMSSW and basf2.) Each is the displacement at points (r, phi, z), mm and rad, of a detector of radius R and half
+#: length Z: (3, n) along x, y, z, at most about 1.
+PATTERNS = (
+    "radial", "telescope", "layer_rotation", "curl", "bowing", "z_expansion", "twist", "elliptical", "skew",
+    "clamshell", "sagitta",
+)  # fmt: skip
+
+
+def pattern_at(name: str, points: Floats, size: tuple[float, float]) -> Floats:
+    """Return the displacement of a pattern at points.
+
+    Parameters
+    ----------
+    name : str
+        One of `PATTERNS`.
+    points : ndarray, (n, 3) float64, mm
+    size : (float, float), mm
+        Radius and half length of the detector.
+
+    Returns
+    -------
+    ndarray, (n, 3) float64
+    """
+    x, y, z = points.T
+    r, phi = np.hypot(x, y), np.arctan2(y, x)
+    outer, long = size
+    none = np.zeros_like(r)
+
+    def around(angle: Floats) -> Floats:  # mm, by a turn in units of the outer radius
+        return np.stack([-y * angle, x * angle, none], axis=1) / outer
+
+    def across(scale: Floats) -> Floats:
+        return np.stack([x * scale, y * scale, none], axis=1) / outer
+
+    def along(shift: Floats) -> Floats:
+        return np.stack([none, none, shift], axis=1)
+
+    if name == "radial":
+        return across(np.ones_like(r))
+    if name == "telescope":
+        return along(r / outer)
+    if name == "layer_rotation":
+        return around(r / outer - 0.5)
+    if name == "curl":
+        return around(r / outer)
+    if name == "bowing":
+        return across(1 - (z / long) ** 2)
+    if name == "z_expansion":
+        return along(z / long)
+    if name == "twist":
+        return around(z / long)
+    if name == "elliptical":
+        return across(np.cos(2 * phi))
+    if name == "skew":
+        return along(r / outer * np.cos(phi))
+    if name == "clamshell":
+        return around(np.cos(phi))
+    return np.stack([none, r / outer, none], axis=1)  # sagitta
+
+
+def rigid_parts(detector: Contents) -> dict[str, tuple[Floats, Floats]]:
+    """Return points on the parts that move as a whole, and the points about which they turn, by dotted key.
+
+    Parameters
+    ----------
+    detector : Contents
+
+    Returns
+    -------
+    dict of str to (ndarray, (n, 3) float64, and ndarray, (3,) float64), mm
+    """
+    found = {}
+    for layer in detector.layers:
+        path = f"{'cgem' if isinstance(layer, CgemLayer) else 'layer'}.{layer.label}"
+        found[path] = (_cylinder([(layer.r_mid, layer.half_length)]), layer.shift)
+    chamber = detector.drift_chamber
+    if chamber is not None and chamber.layers:
+        found["drift_chamber"] = _cylinder([(one.r_mid, one.half_length) for one in chamber.layers]), chamber.shift
+    return found
+
+
+def _cylinder(layers: list[tuple[float, float]]) -> Floats:
+    phi, share = (one.ravel() for one in np.meshgrid(np.arange(16) * np.pi / 8, np.linspace(-1, 1, 9)))
+    return np.concatenate([np.stack([r * np.cos(phi), r * np.sin(phi), half * share], axis=1) for r, half in layers])
+
+
+def pattern_values(detector: Contents, name: str) -> tuple[dict[str, float], float]:
+    """Return the constants of the parts of a detector that come nearest to a pattern of size 1 mm.
+
+    Parameters
+    ----------
+    detector : Contents
+    name : str
+        One of `PATTERNS`.
+
+    Returns
+    -------
+    values : dict of str to float
+        By name, mm and rad.
+    share : float
+        Of the pattern's square that these displacements make, 0 to 1.
+    """
+    parts, values = rigid_parts(detector), dict[str, float]()
+    every = np.concatenate([points for points, _ in parts.values()])
+    size = float(np.hypot(every[:, 0], every[:, 1]).max()), float(np.abs(every[:, 2]).max())
+    total, made = 0.0, 0.0
+    for path, (points, pivot) in parts.items():
+        wanted = pattern_at(name, points, size)
+        arm = points - pivot
+        columns = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+        columns += [np.cross(axis, arm) for axis in np.eye(3)]
+        matrix = np.stack([one.ravel() for one in columns], axis=1)
+        found = np.linalg.lstsq(matrix, wanted.ravel(), rcond=None)[0]
+        # Parts count alike, whatever the number of their points.
+        total += float(np.mean(wanted**2))
+        made += float(np.mean((matrix @ found) ** 2))
+        names = (f"{path}.{key}" for key in PLACEMENT)
+        values |= {key: float(one) for key, one in zip(names, found, strict=True) if abs(one) > 1e-12}
+    return values, made / total if total else 0.0
+
+
+#: Of a pattern's square; with less, the parts of the detector cannot move like it.
+_LEAST_SHARE = 0.1
+
+
+def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]) -> dict[str, float]:
+    """Return constants of a displaced detector; see `Detector.misaligned`.
+
+    Parameters
+    ----------
+    detector : Contents
+    seed : int
+    sizes : mapping
+
+    Raises
+    ------
+    DetectorError
+        Listing every problem.
+    """
+    problems: list[Problem] = []
+    if not is_whole(seed, 0, 2**64 - 1):
+        problems.append(Problem("seed", shown(seed), "a whole number from 0 to 2**64 - 1"))
+    paths = list(rigid_parts(detector))
+    spread: dict[str, float] = {}
+    found: dict[str, float] = {}
+    for key, size in sizes.items():
+        if key in PATTERNS:
+            length = _size(key, size, "length", problems)
+            values, share = pattern_values(detector, key)
+            if share < _LEAST_SHARE:
+                expected = "a pattern that displacements of whole parts make"
+                problems.append(Problem(key, f"{100 * share:.0f} % of it", expected))
+            for name, value in values.items():
+                found[name] = found.get(name, 0.0) + length * value
+            continue
+        named = [path for path in paths if _fits(path, key)]
+        if named and isinstance(size, tuple | list) and len(size) == 2:
+            of_shift, of_turn = _size(key, size[0], "length", problems), _size(key, size[1], "angle", problems)
+            for path in named:
+                for name in PLACEMENT:
+                    spread[f"{path}.{name}"] = of_shift if name.startswith("shift") else of_turn
+            continue
+        single = [f"{path}.{name}" for path in paths for name in PLACEMENT if _fits(f"{path}.{name}", key)]
+        if single:
+            kind = "length" if ".shift" in single[0] else "angle"
+            spread |= dict.fromkeys(single, _size(key, size, kind, problems))
+            continue
+        expected = "a part with a length and an angle, a key of a displacement, or a pattern"
+        problems.append(Problem(key, shown(size), expected, did_you_mean(key, [*paths, *PATTERNS])))
+    if problems:
+        raise DetectorError(detector.name, problems)
+    for name, width in spread.items():
+        # A constant depends on the seed and its own name alone.
+        event = np.array([_FIRST_EVENT + zlib.crc32(name.encode())], np.int64)
+        drawn = _core.common.normals(seed, event, np.zeros(1, np.int32), _core.common.Purpose.gun, 0, 0)
+        found[name] = found.get(name, 0.0) + width * float(np.ravel(drawn)[0])
+    return found
+
+
+_FIRST_EVENT = 2**62  # beyond events of any run, so that no draw of a gun is the same
+
+
+def _fits(name: str, pattern: str) -> bool:
+    words, patterns = name.split("."), pattern.split(".")
+    return len(words) == len(patterns) and all(map(fnmatchcase, words, patterns))
+
+
+def _size(path: str, given: object, kind: str, problems: list[Problem]) -> float:
+    try:
+        value = parse_quantity(given, kind) if isinstance(given, str) else number(given)
+    except QuantityError as error:
+        problems.append(Problem(path, shown(given), str(error)))
+        return 0.0
+    if not (math.isfinite(value) and value >= 0):
+        problems.append(Problem(path, shown(given), f"a {kind}, 0 or more"))
+        return 0.0
+    return value
+
+
+def displacements_of(detector: Contents) -> AlignmentTable:
+    """Return the displacements that a description has; see `Detector.displacements`.
+
+    Parameters
+    ----------
+    detector : Contents
+    """
+    names = [f"{path}.{key}" for path in rigid_parts(detector) for key in PLACEMENT]
+    values = [float((value_at(detector, name) or (0.0,))[0]) for name in names]
+    none = (math.nan,) * len(names)
+    units = tuple("mm" if ".shift" in name else "rad" for name in names)
+    return AlignmentTable(tuple(names), units, tuple(values), none, none, none, ("fixed",) * len(names))

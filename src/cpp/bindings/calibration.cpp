@@ -1,0 +1,214 @@
+#include <pybind11/pybind11.h>
+
+#include <cmath>
+#include <limits>
+
+#include "bindings/hits.hpp"
+#include "bindings/interrupt.hpp"
+#include "bindings/rows.hpp"
+#include "calibration/sums.hpp"
+#include "common/angles.hpp"
+#include "common/problems.hpp"
+#include "detector/start_radius.hpp"
+#include "kernels/kernels.hpp"
+
+namespace py = pybind11;
+using namespace cgemit;
+using namespace cgemit::bindings;
+
+namespace {
+
+constexpr int most_columns = 3000;  // of a dense matrix of normal equations
+
+// Numbers of columns from Python: -1, or below the number of columns.
+class ColumnNumbers {
+ public:
+  ColumnNumbers(const py::dict& given, int columns) : given_(given), columns_(columns) {}
+
+  // A flat list of `size` numbers.
+  std::vector<int> take(const char* name, std::size_t size) const {
+    const auto array = bindings::take<std::int32_t>(given_, name);
+    if (array.size() != static_cast<py::ssize_t>(size))
+      throw std::invalid_argument(std::string("columns: ") + name + ": expected " + std::to_string(size) +
+                                  " numbers");
+    std::vector<int> numbers(array.data(), array.data() + size);
+    for (const int number : numbers)
+      if (number < -1 || number >= columns_)
+        throw std::invalid_argument(std::string("columns: ") + name + ": no such column");
+    return numbers;
+  }
+  std::vector<RigidColumns> rigid(const char* name, std::size_t parts) const {
+    const std::vector<int> numbers = take(name, 6 * parts);
+    std::vector<RigidColumns> found(parts);
+    for (std::size_t i = 0; i < numbers.size(); ++i) found[i / 6][i % 6] = numbers[i];
+    return found;
+  }
+
+ private:
+  const py::dict& given_;
+  int columns_;
+};
+
+ColumnMap column_map(const Detector& detector, const py::dict& given) {
+  ColumnMap map;
+  map.columns = py::cast<int>(given["columns"]);
+  if (map.columns < 0 || map.columns > most_columns)
+    throw std::invalid_argument("columns: expected 0 to " + std::to_string(most_columns) + " constants");
+  const std::size_t layers = detector.layers.size(), wires = detector.wires.size();
+  const ColumnNumbers numbers(given, map.columns);
+  map.layers = numbers.rigid("layers", layers);
+  const std::vector<RigidColumns> sheets = numbers.rigid("sheets", most_sheets * layers);
+  map.sheets.resize(layers);
+  for (std::size_t i = 0; i < sheets.size(); ++i) map.sheets[i / most_sheets][i % most_sheets] = sheets[i];
+  map.chamber = numbers.rigid("chamber", 1)[0];
+  const auto shift_array = take<double>(given, "chamber_shift");
+  std::ranges::copy(column(shift_array, "chamber_shift", 3), map.chamber_shift.begin());
+  const auto turn_array = take<double>(given, "chamber_turn");
+  std::ranges::copy(column(turn_array, "chamber_turn", 9), map.chamber_turn.begin());
+  map.wires = numbers.rigid("wires", wires);
+  map.east = numbers.rigid("east", wires);
+  map.west = numbers.rigid("west", wires);
+  map.lorentz = numbers.take("lorentz", layers);
+  map.z_scale = numbers.take("z_scale", layers);
+  map.field = numbers.take("field", 1)[0];
+  // Changes of drift distances: (wire layers, constants, distances).
+  const auto changes = take<double>(given, "drift_change");
+  if (changes.ndim() != 3 || changes.shape(0) != static_cast<py::ssize_t>(wires) ||
+      (changes.shape(1) > 0 && changes.shape(2) == 0))
+    throw std::invalid_argument("columns: drift_change: expected (wire layers, constants, distances)");
+  const auto constants = static_cast<std::size_t>(changes.shape(1)),
+             steps = static_cast<std::size_t>(changes.shape(2));
+  const std::vector<int> drift = numbers.take("drift", wires * constants);
+  map.drift.resize(wires);
+  for (std::size_t i = 0; i < drift.size(); ++i) {
+    if (drift[i] < 0) continue;
+    const double* from = changes.data() + i * steps;
+    map.drift[i / constants].push_back({drift[i], std::vector<double>(from, from + steps)});
+  }
+  map.drift_step = py::cast<double>(given["drift_step"]);
+  if (!(map.drift_step > 0 && map.drift_step < HUGE_VAL))
+    throw std::invalid_argument("columns: drift_step: expected a length above 0");
+  return map;
+}
+
+std::vector<UsedHit> used_hits(const py::dict& columns, py::ssize_t n) {
+  const auto used_array = take<std::uint8_t>(columns, "used");
+  const auto value_array = take<double>(columns, "used_value"),
+             variance_array = take<double>(columns, "used_variance");
+  const auto used = column(used_array, "used", n);
+  const auto value = column(value_array, "used_value", n),
+             variance = column(variance_array, "used_variance", n);
+  std::vector<UsedHit> found;
+  for (std::size_t i = 0; i < value.size(); ++i) {
+    if (used[i] != 0 && !(std::isfinite(value[i]) && variance[i] > 0 && variance[i] < HUGE_VAL))
+      throw std::invalid_argument("used_value, used_variance: expected finite numbers, variances above 0");
+    found.push_back({used[i] != 0, value[i], variance[i]});
+  }
+  return found;
+}
+
+py::dict run_sums(const Detector& detector, const py::dict& map_values,
+                  const Array<std::int64_t>& hit_offsets, const py::dict& hit_columns,
+                  const Array<double>& reference_array, const Array<double>& kinks_array,
+                  const Array<double>& mass_array, const Array<double>& charge_array,
+                  const Array<double>& matter_p_array, const Array<double>& start_radius,
+                  const std::array<double, 5>& prior_sigma, bool bias, bool scattering, bool scalar) {
+  const ColumnMap map = column_map(detector, map_values);
+  const auto offsets = hit_offsets_of(hit_offsets);
+  const std::size_t n = offsets.size() - 1;
+  const auto tracks = static_cast<py::ssize_t>(n);
+  const auto n_hits = static_cast<py::ssize_t>(offsets.back());
+  const auto reference = matrix(reference_array, "reference", tracks, 5);
+  const std::size_t angles = 2 * detector.slabs.size();
+  const auto kinks = matrix(kinks_array, "kinks", tracks, static_cast<py::ssize_t>(angles));
+  const auto mass = column(mass_array, "mass", tracks), matter_p = column(matter_p_array, "matter_p", tracks);
+  const std::vector<double> charge = charges(charge_array, tracks);
+  const StartRadii begins(detector, n, start_radii(start_radius, tracks));
+  std::vector<Perigee> helices;
+  Problems problems;
+  for (std::size_t i = 0; i < n; ++i) {
+    const double* r = &reference[5 * i];
+    helices.push_back({r[0], r[1], r[2], r[3], r[4]});
+    bool finite =
+        std::isfinite(mass[i]) && mass[i] > 0 && matter_p[i] >= 0 && matter_p[i] < HUGE_VAL && r[2] != 0;
+    for (std::size_t k = 0; k < 5; ++k) finite = finite && std::isfinite(r[k]);
+    for (std::size_t k = 0; k < angles; ++k) finite = finite && std::isfinite(kinks[angles * i + k]);
+    if (!finite)
+      problems.add("track " + std::to_string(i) +
+                   ": expected finite reference, kinks and momentum, kappa other than 0, and a mass above 0");
+  }
+  problems.raise("sums");
+  for (const double sigma : prior_sigma)
+    if (!(sigma > 0 && sigma < HUGE_VAL))
+      throw std::invalid_argument("prior_sigma: expected numbers above 0");
+  const std::vector<UsedHit> used = used_hits(hit_columns, n_hits);
+  std::vector<Hit> hits;
+  HitColumns(detector, hit_columns, n_hits).take(0, static_cast<std::size_t>(n_hits), hits);
+  const auto columns = static_cast<std::size_t>(map.columns);
+  std::vector<double> normal(columns * columns), right(columns), measured(columns),
+      biases(bias ? n * columns * 5 : 0);
+  std::vector<SummedTrack> rows(n);
+  const auto sums = scalar ? scalar_kernels().alignment_sums : kernels().alignment_sums;
+  {
+    py::gil_scoped_release release;
+    for (std::size_t begin = 0, count = 0; begin < n && !interrupted(); begin += count) {
+      count = begins.alike(begin, n);
+      const auto first = static_cast<std::size_t>(offsets[begin]),
+                 of_tracks = static_cast<std::size_t>(offsets[begin + count]) - first;
+      const FittedTracks input{.offsets = offsets.subspan(begin, count + 1),
+                               .hits = std::span<const Hit>(hits).subspan(first, of_tracks),
+                               .used = std::span<const UsedHit>(used).subspan(first, of_tracks),
+                               .reference = std::span<const Perigee>(helices).subspan(begin, count),
+                               .kinks = kinks.subspan(angles * begin, angles * count),
+                               .mass = mass.subspan(begin, count),
+                               .charge = std::span<const double>(charge).subspan(begin, count),
+                               .matter_p = matter_p.subspan(begin, count),
+                               .prior_sigma = prior_sigma,
+                               .scattering = scattering,
+                               .interrupted = interrupted};
+      sums(begins.of(begin), input, map,
+           {.normal = normal.data(),
+            .right = right.data(),
+            .measured = measured.data(),
+            .rows = rows.data() + begin,
+            .bias = bias ? biases.data() + begin * columns * 5 : nullptr});
+    }
+  }
+  throw_if_interrupted();
+  RowColumns<SummedTrack> of_track(n);
+  of_track.add("used", &SummedTrack::used)
+      .add("hits", &SummedTrack::hits)
+      .add("chi2", &SummedTrack::chi2)
+      .add("helix",
+           [](const SummedTrack& row) {
+             auto helix = row.helix;
+             helix[1] = wrap_angle(helix[1] - 0.5 * pi);
+             return helix;
+           },
+           {5})
+      .add("cov", &SummedTrack::covariance, {5, 5})
+      .append(rows);
+  py::dict out;
+  of_track.give(out);
+  const auto width = static_cast<py::ssize_t>(columns);
+  out["normal"] = to_numpy(std::move(normal), {width, width});
+  out["right"] = to_numpy(std::move(right));
+  out["measured"] = to_numpy(std::move(measured));
+  if (bias) out["bias"] = to_numpy(std::move(biases), {tracks, width, 5});
+  return out;
+}
+
+}  // namespace
+
+void bind_calibration(py::module_& module) {
+  module.attr("MOST_SHEETS") = most_sheets;
+  module.attr("MOST_COLUMNS") = most_columns;
+  module.def(
+      "sums", &run_sums, py::arg("detector"), py::kw_only(), py::arg("columns"), py::arg("hit_offsets"),
+      py::arg("hits"), py::arg("reference"), py::arg("kinks"), py::arg("mass"), py::arg("charge"),
+      py::arg("matter_p"), py::arg("start_radius"), py::arg("prior_sigma"), py::arg("bias") = false,
+      py::arg("scattering") = true, py::arg("scalar") = false,
+      "Sums of the normal equations of constants of the detector over tracks, each about the reference of "
+      "its fit; the helix, covariance and chi-square of every track with this prior; with `bias` the "
+      "derivatives of each helix by the constants.");
+}

@@ -1,0 +1,68 @@
+// Normal equations of constants of the detector, from fitted tracks or from expected ones.
+//
+// The fit of a track is linear in its measurements: with r = measured - predicted, V their covariance
+// (scattering included) and H the derivatives by the helix, W = V^-1 - V^-1 H (H' V^-1 H)^-1 H' V^-1 is the
+// inverse covariance of r after the fit of the helix. With A, the derivatives of r by the constants, the sums
+// over tracks are N = A' W A and b = A' W r, and the constants change the helix by B = C H' V^-1 A. The gains
+// of the filter do not depend on r, so that every column of A goes through it as r does; its innovations are
+// independent: N = sum e e'/S, b = sum e e_r/S.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+
+#include "calibration/columns.hpp"
+#include "common/interrupt.hpp"
+
+namespace cgemit {
+
+// A measurement as the fit used it.
+struct UsedHit {
+  bool used;               // not an outlier
+  double value, variance;  // mm, mm^2; of a wire with the sign of its side
+};
+
+// Tracks, each about the helix where its fit was linearised. Hits of a track are ordered outward.
+struct FittedTracks {
+  std::span<const std::int64_t> offsets;  // n + 1 indices into the hits, relative to the first one
+  std::span<const Hit> hits;
+  std::span<const UsedHit> used;
+  std::span<const Perigee> reference;
+  std::span<const double> kinks;         // rad, two angles of every slab for each track
+  std::span<const double> mass, charge;  // GeV; e, unsigned
+  std::span<const double> matter_p;      // GeV/c, momentum in matter at the origin; 0: that of the helix
+  std::array<double, 5> prior_sigma;     // of d, psi, kappa, z0, tanl
+  bool scattering = true;                // false: tracks are helices, as if matter added no noise
+  Interrupted interrupted = never_interrupted;
+
+  std::size_t tracks() const { return offsets.size() - 1; }
+  std::size_t first(std::size_t track) const { return static_cast<std::size_t>(offsets[track] - offsets[0]); }
+  std::size_t count(std::size_t track) const { return first(track + 1) - first(track); }
+};
+
+// A track in the sums.
+struct SummedTrack {
+  std::uint8_t used;  // 0: its filter fails
+  std::int32_t hits;
+  double chi2;
+  std::array<double, 5> helix;        // (d, psi, kappa, z0, tanl)
+  std::array<double, 25> covariance;  // of them
+};
+
+// `normal` (columns squared), `right` and `measured` (columns) are sums, to which the tracks are added;
+// `measured` is the information that hits would have of a constant if helices were known. `rows`: one for
+// each track. `bias` may be null; otherwise it receives the (columns, 5) derivatives of each helix.
+struct SumsOutput {
+  double* normal;
+  double* right;
+  double* measured;
+  SummedTrack* rows;
+  double* bias;
+};
+
+// The scalar code without SIMD lanes.
+void alignment_sums(const Detector& detector, const FittedTracks& tracks, const ColumnMap& map,
+                    const SumsOutput& output);
+
+}  // namespace cgemit
