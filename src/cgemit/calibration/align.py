@@ -15,7 +15,7 @@ from cgemit.bes3.events import Bes3Events
 from cgemit.calibration.constants import FIELD, LORENTZ, Constant
 from cgemit.calibration.modes import Modes, Solution, solve
 from cgemit.calibration.settings import AlignmentSettings, plan_of
-from cgemit.calibration.sums import Sums, fitted_sums
+from cgemit.calibration.sums import Sums, fitted_sums, residual_means
 from cgemit.chain.executor import Workers, pool_of
 from cgemit.chain.result import Result
 from cgemit.chain.settings import find_settings, fit_settings
@@ -78,6 +78,9 @@ class Alignment(Shown, Tabular):
     converged : bool
     at_limits : tuple of str
         Constants that were stopped at the end of their range.
+    residuals : (mapping, mapping)
+        Mean residuals of the first run with the description before, and with that found: mean and error, mm, by names
+        such as ``"L1 X"``.
 
     Examples
     --------
@@ -98,6 +101,7 @@ class Alignment(Shown, Tabular):
     p_value: float
     converged: bool
     at_limits: tuple[str, ...]
+    residuals: tuple[Mapping[str, tuple[float, float]], Mapping[str, tuple[float, float]]]
 
     @property
     def cov(self) -> Floats:
@@ -217,7 +221,7 @@ def align(
     free, fixed, priors = plan_of(before, settings)
     total, history, improvement = np.zeros(len(free)), list[Iteration](), 0.0
     low, high = _limits(before, free)
-    now, converged, first = before, False, 0.0
+    now, converged, first, zero = before, False, 0.0, tuple[str, ...]()
     with pool_of(Workers(threads=threads)) as pool:
         for number in range(settings.iterations):
             pull = settings.outlier_pull[min(number, len(settings.outlier_pull) - 1)]
@@ -232,7 +236,9 @@ def align(
             if sums.tracks <= len(free):
                 problem = f"tracks: got {sums.tracks} that are fitted, expected more than the {len(free)} constants"
                 raise ValueError(f"align:\n  {problem}")
-            found = solve(now, free, sums, priors, total, constrain=settings.zero_modes == "constrained")
+            constrain = settings.zero_modes == "constrained"
+            found = solve(now, free, sums, priors, total, constrain=constrain, zero=zero)
+            zero = (*zero, *(name for name in found.zero_modes if name not in zero))
             wanted = np.clip(total + found.value, low, high)
             step, total = wanted - total, wanted
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -249,10 +255,15 @@ def align(
             if moved < settings.tolerance and final:
                 converged = True
                 break
+
+    def residuals(described: Detector) -> Mapping[str, tuple[float, float]]:
+        return residual_means(described, _tables(sources[0], described), sources[0].fit)
+
     at_limits = tuple(one.name for one, value, a, b in zip(free, total, low, high, strict=True) if value in (a, b))
     result = Alignment(
         found.table(total, fixed), now, before, replace(found, value=total), tuple(history), improvement,
         _survival(improvement, first), converged, at_limits,
+        (residuals(before), residuals(now)),
     )  # fmt: skip
     if not converged or at_limits:
         warnings.warn(f"align: {result.note()}", stacklevel=2)

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.detector import Detector
-from cgemit.detector.parts import PLACEMENT, CgemLayer
+from cgemit.detector.layers import CgemLayer
+from cgemit.detector.layers.layer import PLACEMENT
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.units import QuantityError, parse_quantity
 
@@ -65,7 +66,7 @@ def constants_of(detector: Detector) -> tuple[Constant, ...]:
 
 def _constants(detector: Detector) -> Iterator[Constant]:
     for number, layer in enumerate(detector.layers):
-        path = f"{'cgem' if isinstance(layer, CgemLayer) else 'layer'}.{layer.label}"
+        path = f"{layer.group}.{layer.label}"
         yield from _rigid(path, "layers", number)
         # With an analog readout electrons drift in the simulation; their shift is no constant of the description.
         if isinstance(layer, CgemLayer) and not isinstance(layer.readout, AnalogReadout):

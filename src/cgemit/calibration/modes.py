@@ -14,12 +14,13 @@ from cgemit.calibration.constants import LORENTZ, Constant
 from cgemit.calibration.sums import Sums
 from cgemit.detector import Detector
 from cgemit.detector.alignment import PATTERNS, AlignmentTable, pattern_values
-from cgemit.detector.parts import PLACEMENT
+from cgemit.detector.layers.layer import PLACEMENT
 from cgemit.detector.variants import value_at
 from cgemit.tables.show import Shown, Tabular
 
-#: Information on a mode over that of its constants with known tracks, below which it is rounding and the prior.
-_NONE = 1e-7
+#: Information on a mode over that of its constants with known tracks, below which there is none: rows of the fit are
+#: those of layers in place, which tilts of 1 mrad make wrong by that much. Common tilts have four times as much.
+_NONE = 1e-6
 #: The same for modes that have no known name, in units of the mean of all.
 _ROUNDING = 1e-10
 #: Share of a constant in a zero mode from which on it is not determined.
@@ -233,7 +234,7 @@ def _patterns(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:
 
 def solve(
     detector: Detector, constants: Sequence[Constant], sums: Sums, priors: Mapping[str, float],
-    offset: Floats | None = None, *, constrain: bool = False,
+    offset: Floats | None = None, *, constrain: bool = False, zero: Sequence[str] = (),
 ) -> Solution:  # fmt: skip
     """Solve the normal equations.
 
@@ -248,6 +249,8 @@ def solve(
         Present values of the constants minus those of the survey. None: 0.
     constrain : bool
         Whether zero modes are set to 0; otherwise the constants in them are not determined.
+    zero : sequence of str
+        Names of zero modes that are known before.
     """
     n = len(constants)
     prior = np.array([priors.get(one.name, np.nan) for one in constants])
@@ -265,7 +268,7 @@ def solve(
         scaled = np.divide(vector, scale, out=np.zeros(n), where=scale > 0)
         information = float(vector @ sums.normal @ vector) / float(scaled @ scaled)
         rest = scaled - zeros.T @ (zeros @ scaled)
-        if information < _NONE and rest @ rest > 1e-6 * (scaled @ scaled):
+        if (information < _NONE or name in zero) and rest @ rest > 1e-6 * (scaled @ scaled):
             zeros = np.vstack([zeros, rest / np.linalg.norm(rest)])
             names.append(name)
     # What is known not to be seen is taken out of the data: rounding must not look like information.

@@ -109,6 +109,35 @@ def fitted_sums(
     )  # fmt: skip
 
 
+def residual_means(detector: Detector, tables: Mapping[str, Table], fit: FitSettings) -> dict[str, tuple[float, float]]:
+    """Return mean residuals of the views of layers, and their errors, mm, by names such as ``"L1 X"``.
+
+    Residuals are those to the tracks without the hit; a mean weights them by their errors.
+
+    Parameters
+    ----------
+    detector : Detector
+    tables : mapping of str to Table
+        As of `fitted_sums`.
+    fit : FitSettings
+    """
+    clusters, wire_hits, candidates, candidate_hits = (
+        tables[name] for name in ("clusters", "wire_hits", "candidates", "candidate_hits")
+    )
+    fitted = fit_columns(detector, clusters, wire_hits, candidates, candidate_hits, replace(fit, residuals=True))
+    out, hits = fitted.out, fitted.hits
+    good = (out["used"] == 1) & (out["err"] > 0)
+    found = {}
+    for number, layer in enumerate(detector.layers):
+        for view, name in enumerate("XV"):
+            rows = good & (hits.kind == view) & (hits.layer == number)
+            weight = 1 / out["err"][rows] ** 2
+            if len(weight):
+                mean = float(np.sum(weight * out["residual"][rows]) / np.sum(weight))
+                found[f"{layer.label} {name}"] = mean, float(1 / np.sqrt(np.sum(weight)))
+    return found
+
+
 def expected_sums(
     detector: Detector, source: Source | Guns, tracks: int, constants: Sequence[Constant], fit: FitSettings, *,
     seed: int = 1, reveal_sides: bool = False, cosmic: bool = False, pool: Executor | None = None,

@@ -40,6 +40,7 @@ COMMANDS = {
     "readout": "resolution of an analog readout against the incidence; errors of its clusters",
     "reconstruct": "find and fit the tracks of BESIII events, from fired cells and strips",
     "refit": "fit tracks of BESIII again, beside its own fit",
+    "align": "find displaced parts of a detector with tracks, or forecast the errors",
     "slab": "scattering and energy loss in layers of matter",
     "detectors": "list the detectors that come with cgemit",
     "show": "tables of material and readout, pictures",

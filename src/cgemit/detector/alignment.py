@@ -19,7 +19,8 @@ from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.base.files import new_file, read_text
 from cgemit.base.validate import is_whole, number
 from cgemit.detector.keys import Known
-from cgemit.detector.parts import PLACEMENT, CgemLayer, Contents
+from cgemit.detector.layers.layer import PLACEMENT
+from cgemit.detector.parts import Contents
 from cgemit.detector.variants import value_at
 from cgemit.tables.show import Shown, Tabular, with_error
 from cgemit.units import QuantityError, parse_quantity
@@ -278,7 +279,7 @@ def rigid_parts(detector: Contents) -> dict[str, tuple[Floats, Floats]]:
     """
     found = {}
     for layer in detector.layers:
-        path = f"{'cgem' if isinstance(layer, CgemLayer) else 'layer'}.{layer.label}"
+        path = f"{layer.group}.{layer.label}"
         found[path] = (_cylinder([(layer.r_mid, layer.half_length)]), layer.shift)
     chamber = detector.drift_chamber
     if chamber is not None and chamber.layers:

@@ -1,5 +1,6 @@
 """Pictures; the only part of the package that knows matplotlib."""
 
+from cgemit.draw.alignment import draw_constants, draw_modes, draw_residual_means
 from cgemit.draw.chain_diagram import draw_chain
 from cgemit.draw.cluster import FormationPanel, draw_cluster, draw_formation, draw_projection
 from cgemit.draw.curves import ViewCurves, draw_finding, draw_readout, draw_refit, residual, resolutions
@@ -17,12 +18,15 @@ __all__ = [
     "draw_budgets",
     "draw_chain",
     "draw_cluster",
+    "draw_constants",
     "draw_detector",
     "draw_finding",
     "draw_formation",
+    "draw_modes",
     "draw_projection",
     "draw_readout",
     "draw_refit",
+    "draw_residual_means",
     "draw_sensitivity",
     "draw_sides",
     "draw_slab",

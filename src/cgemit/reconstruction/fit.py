@@ -287,7 +287,7 @@ class FittedColumns(NamedTuple):
     radii : ndarray, (n,) float64, mm
         Where the tracks begin.
     out : dict of str to ndarray
-        Columns of ``_core.reconstruction.fit``; with `FitSettings.states` also those of the last iteration, as `state_columns` takes
+        Columns of the core's fit; with `FitSettings.states` also those of the last iteration, as `state_columns` takes
         them.
     """
 

@@ -42,8 +42,8 @@ def derivatives(detector: cg.Detector, helix: Floats, hits: dict[str, Any], cons
 
 
 def summed(
-    core: _core.detector.Detector, detector: cg.Detector, helix: Floats, hits: dict[str, Any], constants: tuple[Constant, ...],
-    *, scalar: bool = False,
+    core: _core.detector.Detector, detector: cg.Detector, helix: Floats, hits: dict[str, Any],
+    constants: tuple[Constant, ...], *, scalar: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
     n = len(hits["kind"])
     wire = hits["kind"] == 2

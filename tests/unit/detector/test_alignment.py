@@ -7,7 +7,7 @@ import pytest
 
 import cgemit as cg
 from cgemit.detector.alignment import PATTERNS, pattern_at, pattern_values
-from cgemit.detector.parts import PLACEMENT
+from cgemit.detector.layers.layer import PLACEMENT
 
 DETECTOR = cg.load("besiii-cgem")
 FOLLOWED = ("telescope", "layer_rotation", "curl", "skew", "clamshell", "sagitta")

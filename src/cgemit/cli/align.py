@@ -1,0 +1,154 @@
+"""`cgemit align`: constants of a detector from tracks of runs, or the errors that samples will reach."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cgemit.base.version import __version__
+from cgemit.cli import options
+
+if TYPE_CHECKING:
+    from cgemit.calibration.align import Alignment
+    from cgemit.calibration.forecast import AlignmentForecast
+    from cgemit.calibration.settings import AlignmentSettings
+
+
+DESCRIPTION = """\
+Find how parts of a detector are displaced, from the tracks of runs that cgemit simulate --fit wrote
+(docs/how-to/align.md). With --forecast no run is needed: the errors that samples of tracks will reach.
+With -o also the table (alignment.csv, which Detector.with_alignment takes), the detector with these constants
+(detector.toml), report.json and pictures."""
+
+EXAMPLES = """\
+examples:
+  cgemit align run cosmics --free 'cgem.*' -o aligned
+  cgemit align run --free 'cgem.*' --free drift_chamber --prior 'drift_chamber=10 um' --fix 'drift_chamber.tilt_*'
+  cgemit align --forecast -d besiii-cgem --muons 10000 --cosmics 10000"""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("runs", nargs="*", metavar="RUN", help="folders of runs with clusters and candidates")
+    parser.add_argument("-d", "--detector", help="detector of a forecast; of runs: description to be corrected")
+    parser.add_argument(
+        "--free", action="append", metavar="PATTERN", help="part or constant that is free (default cgem.*); may repeat"
+    )
+    parser.add_argument("--fix", action="append", default=[], metavar="PATTERN", help="of those, stay as they are")
+    parser.add_argument(
+        "--calibrate", action="append", default=[], choices=("lorentz", "field"), help="constants of no displacement"
+    )
+    parser.add_argument(
+        "--prior", action="append", default=[], metavar="PATTERN=ERROR", help="survey, 'cgem.*.shift_z=100 um'"
+    )
+    parser.add_argument(
+        "--zero-modes", choices=("undetermined", "constrained"), default="undetermined",
+        help="constants that tracks see only in combinations (default undetermined: no number)",
+    )  # fmt: skip
+    parser.add_argument("--forecast", action="store_true", help="errors without events")
+    parser.add_argument("--muons", type=options.positive, metavar="N", help="muons of 1 GeV/c, |cos(theta)| < 0.8")
+    parser.add_argument("--cosmics", type=options.positive, metavar="N", help="cosmic muons")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    options.add_output(parser, "folder for table, detector, report and pictures")
+    options.add_common(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Align, or forecast."""
+    from cgemit.base.files import check_free
+    from cgemit.calibration.align import Alignment, align
+    from cgemit.calibration.settings import AlignmentSettings
+    from cgemit.chain.result import Result
+
+    if arguments.output:
+        check_free(arguments.output, overwrite=arguments.overwrite)
+    settings = AlignmentSettings(
+        free=tuple(arguments.free or ("cgem.*",)), fixed=tuple(arguments.fix), calibrate=tuple(arguments.calibrate),
+        priors=tuple(arguments.prior), zero_modes=arguments.zero_modes,
+    )  # fmt: skip
+    found: Alignment | AlignmentForecast
+    if arguments.forecast:
+        found = _forecast(arguments, settings)
+    else:
+        if not arguments.runs or arguments.muons or arguments.cosmics:
+            raise ValueError(
+                "align: got no run, or a sample without --forecast; expected folders of runs, or --forecast"
+            )
+        runs = [Result.load(folder) for folder in arguments.runs]
+        found = align(runs, settings, detector=arguments.detector)
+    report = _report(found, settings, arguments)
+    text = json.dumps(report, indent=2, allow_nan=False)
+    if arguments.output:
+        _write(found, text, arguments.output, overwrite=arguments.overwrite)
+    options.say(text if arguments.json else found)
+    if arguments.output:
+        options.note(arguments, f"table, report and pictures: {arguments.output}")
+    if isinstance(found, Alignment) and not found.converged:
+        raise options.RunFailedError("the alignment has not converged")
+    return options.OK
+
+
+def _forecast(arguments: argparse.Namespace, settings: AlignmentSettings) -> AlignmentForecast:
+    from cgemit.calibration.forecast import alignment_forecast
+    from cgemit.particles.gun import Gun
+    from cgemit.particles.samples import sample
+
+    samples: list[tuple[Any, int]] = []
+    if arguments.muons:
+        samples.append((Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), arguments.muons))
+    if arguments.cosmics:
+        samples.append((sample("cosmic"), arguments.cosmics))
+    if arguments.runs or not samples or not arguments.detector:
+        raise ValueError("align --forecast: expected -d DETECTOR and --muons N, --cosmics N, or both, and no run")
+    return alignment_forecast(arguments.detector, samples, settings)
+
+
+def _report(
+    found: Alignment | AlignmentForecast, settings: AlignmentSettings, arguments: argparse.Namespace
+) -> dict[str, Any]:
+    from cgemit.calibration.align import Alignment
+
+    modes = found.modes(5)
+    report: dict[str, Any] = {
+        "version": __version__, "command": arguments.line, "settings": settings.to_dict(),
+        "constants": [
+            dict(zip(found.table.columns(), map(_plain, row), strict=True))
+            for row in zip(*found.table.columns().values(), strict=True)
+        ],
+        "not_determined": list(found.zero_modes),
+        "weak_modes": [
+            {"name": name, "share": share, "error_mm": _plain(size)}
+            for name, share, size in zip(modes.names, modes.shares, modes.sizes, strict=True)
+        ],
+    }  # fmt: skip
+    if isinstance(found, Alignment):
+        report |= {
+            "detector": found.detector.name, "converged": found.converged, "at_limits": list(found.at_limits),
+            "chi2_gained": found.improvement, "p_value": found.p_value,
+            "history": [vars(one) for one in found.history],
+        }  # fmt: skip
+    else:
+        report |= {"detector": found.detector.name, "tracks": found.sums.tracks}
+    return report
+
+
+def _plain(value: Any) -> Any:
+    """Return None for a number that is not finite, as JSON has none."""
+    return None if isinstance(value, float) and not abs(value) < float("inf") else value
+
+
+def _write(found: Alignment | AlignmentForecast, text: str, folder: str, *, overwrite: bool) -> None:
+    from cgemit.base.files import new_folder
+    from cgemit.calibration.align import Alignment
+    from cgemit.draw.alignment import draw_constants, draw_modes, draw_residual_means
+
+    with new_folder(Path(folder), overwrite=overwrite) as made:
+        found.table.save(made / "alignment.csv")
+        (made / "report.json").write_text(text + "\n", encoding="utf-8")
+        draw_constants(found).save(made / "constants")
+        draw_modes(found).save(made / "modes")
+        if isinstance(found, Alignment):
+            (made / "detector.toml").write_text(found.detector.to_toml(), encoding="utf-8")
+            draw_residual_means(found).save(made / "residuals")

@@ -1,0 +1,166 @@
+"""Pictures of alignment: errors by part, weak modes, residuals before and after."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from cgemit.base.arrays import Floats
+from cgemit.calibration.align import Alignment
+from cgemit.detector.alignment import rigid_parts
+from cgemit.detector.layers.layer import PLACEMENT
+from cgemit.draw.style import COLORS, SERIES, Picture, grid, new_picture, style
+
+if TYPE_CHECKING:
+    from cgemit.calibration.forecast import AlignmentForecast
+
+_SHORT = {"mm": (1e3, "um"), "rad": (1e6, "urad"), "": (1.0, "1")}
+
+
+def draw_constants(found: Alignment | AlignmentForecast) -> Picture:
+    """Draw the errors of all constants by part, logarithmically; of an alignment also the convergence.
+
+    Parameters
+    ----------
+    found : Alignment or AlignmentForecast
+
+    Returns
+    -------
+    Picture
+
+    Examples
+    --------
+    >>> muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
+    >>> picture = cg.draw.draw_constants(cg.alignment_forecast("besiii-cgem", [(muons, 1000)]))
+    >>> picture.axes[0].get_ylabel()
+    'error  (um, urad)'
+    """
+    with style():
+        aligned = isinstance(found, Alignment)
+        picture, axes = new_picture(1, 2 if aligned else 1, (11.4 if aligned else 7.6, 4.8))
+        _errors(axes[0], found)
+        if isinstance(found, Alignment):
+            _convergence(axes[1], found)
+        picture.subplots_adjust(left=0.08, right=0.98, top=0.92, bottom=0.2, wspace=0.22)
+    return picture
+
+
+def _errors(axes: Axes, found: Alignment | AlignmentForecast) -> None:
+    table = found.table
+    parts = list(dict.fromkeys(name.rpartition(".")[0] for name in table.name))
+    keys = list(dict.fromkeys(name.rpartition(".")[2] for name in table.name))
+    width = 0.8 / len(keys)
+    for i, key in enumerate(keys):
+        at, values = [], []
+        for name, unit, err in zip(table.name, table.unit, table.err, strict=True):
+            part, _, own = name.rpartition(".")
+            if own == key and np.isfinite(err):
+                at.append(parts.index(part) + (i - 0.5 * (len(keys) - 1)) * width)
+                values.append(_SHORT[unit][0] * err)
+        axes.bar(at, values, width, color=SERIES[i % len(SERIES)], label=key)
+    axes.set(yscale="log", ylabel="error  (um, urad)", xticks=range(len(parts)))
+    axes.set_xticklabels(parts, rotation=20, ha="right")
+    axes.legend(ncol=3, fontsize=7.5)
+    grid(axes)
+
+
+def _convergence(axes: Axes, found: Alignment) -> None:
+    steps = [max(one.step, 1e-6) for one in found.history]
+    axes.plot(range(1, len(steps) + 1), steps, "o-", color=COLORS["cgem"])
+    axes.set(yscale="log", xlabel="iteration", ylabel="largest step  (standard deviations)")
+    axes.set_xticks(range(1, len(steps) + 1))
+    grid(axes)
+
+
+def draw_modes(found: Alignment | AlignmentForecast, number: int = 4) -> Picture:
+    """Draw the weakest modes as arrows, seen along the beam and from the side.
+
+    Parameters
+    ----------
+    found : Alignment or AlignmentForecast
+    number : int
+        Of modes; zero modes come first.
+
+    Returns
+    -------
+    Picture
+
+    Examples
+    --------
+    >>> muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
+    >>> picture = cg.draw.draw_modes(cg.alignment_forecast("besiii-cgem", [(muons, 1000)]), number=2)
+    >>> len(picture.axes)
+    4
+    """
+    modes = found.modes(number)
+    shown = len(modes.names)
+    with style():
+        picture, axes = new_picture(2, shown, (3.0 * shown + 0.6, 5.8))
+        for i in range(shown):
+            values = dict(zip(modes.constants, modes.shapes[i], strict=True))
+            _arrows(axes[i], axes[shown + i], found, values)
+            size = "not determined" if not np.isfinite(modes.sizes[i]) else f"{1e3 * modes.sizes[i]:.3g} um"
+            axes[i].set_title(f"{modes.names[i]}\n{size}", fontsize=8.5)
+        axes[0].set_ylabel("y  (mm)")
+        axes[shown].set_ylabel("x  (mm)")
+        picture.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.09, wspace=0.3, hspace=0.25)
+    return picture
+
+
+def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, values: dict[str, float]) -> None:
+    detector = found.solution.detector
+    for path, (points, pivot) in rigid_parts(detector).items():
+        constants = np.array([values.get(f"{path}.{key}", 0.0) for key in PLACEMENT])
+        moved = constants[:3] + np.cross(constants[3:], points - pivot)
+        r = np.hypot(points[:, 0], points[:, 1])
+        outer = np.isclose(r, r.max())
+        middle = outer & (np.abs(points[:, 2]) < 1e-6)
+        plane = outer & (np.abs(points[:, 1]) < 1e-6)
+        for one, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, 0))):
+            _quiver(one, points[rows][:, columns], moved[rows][:, columns])
+    along.set(xlabel="x  (mm)", aspect="equal")
+    side.set(xlabel="z  (mm)")
+    for one in (along, side):
+        one.margins(0.15)
+        grid(one)
+
+
+def _quiver(axes: Axes, at: Floats, moved: Floats) -> None:
+    axes.plot(*at.T, ".", ms=2, color=COLORS["wire"])
+    axes.quiver(*at.T, *moved.T, color=COLORS["fit"], angles="uv", scale=12, width=6e-3)
+
+
+def draw_residual_means(found: Alignment) -> Picture:
+    """Draw the mean residuals of the views of layers before and after an alignment.
+
+    Parameters
+    ----------
+    found : Alignment
+
+    Returns
+    -------
+    Picture
+
+    Examples
+    --------
+    >>> run = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), n=100, readout="gaussian")
+    >>> picture = cg.draw.draw_residual_means(cg.align(run, cg.AlignmentSettings(free=("cgem.*.shift_z",))))
+    >>> picture.axes[0].get_ylabel()
+    'mean residual  (um)'
+    """
+    with style():
+        picture, (axes,) = new_picture(1, 1, (7.0, 4.4))
+        names = list(found.residuals[0])
+        for i, (label, colour) in enumerate((("before", COLORS["idc"]), ("after", COLORS["cgem"]))):
+            numbers = np.array([found.residuals[i].get(name, (np.nan, np.nan)) for name in names]) * 1e3
+            at = np.arange(len(names)) + 0.15 * (2 * i - 1)
+            axes.errorbar(at, numbers[:, 0], numbers[:, 1], fmt="o", ms=4, color=colour, label=label)
+        axes.axhline(0, color=COLORS["text"], lw=0.8)
+        axes.set(xticks=range(len(names)), ylabel="mean residual  (um)")
+        axes.set_xticklabels(names)
+        axes.legend()
+        grid(axes)
+        picture.subplots_adjust(left=0.11, right=0.98, top=0.96, bottom=0.1)
+    return picture
