@@ -1,4 +1,5 @@
 # Constants of the detector from tracks.
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy.typing as npt
@@ -22,7 +23,7 @@ def sums(
     charge: npt.ArrayLike,
     matter_p: npt.ArrayLike,
     start_radius: npt.ArrayLike,
-    prior_sigma: Any,
+    prior_sigma: Sequence[float],
     bias: bool = False,
     scattering: bool = True,
     scalar: bool = False,

@@ -1,0 +1,64 @@
+"""`cgemit align`: files of an alignment and of a forecast, and input that is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import cgemit as cg
+from cgemit.cli.main import main
+
+NOMINAL = cg.load("besiii-cgem-design").with_readout("gaussian")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("runs") / "muons"
+    real = NOMINAL.with_alignment({"cgem.L2.shift_x": 0.1})
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
+    cg.run(real, gun, n=200, seed=3, fit_detector=NOMINAL).save(place)
+    return place
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_run_is_aligned(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "aligned"
+    assert main(["align", str(folder), "--free", "cgem.*.shift_x", "--fix", "cgem.L1", "-o", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report == json.loads((out / "report.json").read_text())
+    found = {one["name"]: one for one in report["constants"]}
+    assert abs(found["cgem.L2.shift_x"]["value"] - 0.1) < 4 * found["cgem.L2.shift_x"]["err"] < 0.15
+    assert found["cgem.L1.shift_x"]["status"] == "fixed"
+    assert report["converged"]
+    assert report["p_value"] < 1e-3
+    aligned = cg.load(out / "detector.toml")
+    again = NOMINAL.with_alignment(out / "alignment.csv")
+    assert aligned.cgem["L2"].shift_x == pytest.approx(again.cgem["L2"].shift_x, rel=1e-9)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_forecast_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "forecast"
+    line = ["align", "--forecast", "-d", "besiii-cgem", "--muons", "1000", "--cosmics", "500", "-o", str(out)]
+    assert main(line) == 0
+    assert "18 constants" in capsys.readouterr().out
+    report = json.loads((out / "report.json").read_text())
+    assert len(report["weak_modes"]) == 5
+    assert report["tracks"] > 1500
+    assert not (out / "detector.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (["align"], "expected folders of runs"),
+        (["align", "--forecast", "-d", "besiii-cgem"], "--muons N"),
+        (["align", "--forecast", "-d", "besiii-cgem", "--muons", "10", "--free", "cgem.L7"], "free: got 'cgem.L7'"),
+        (["align", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_input(line: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line) == 2
+    assert expected in capsys.readouterr().err
