@@ -81,6 +81,11 @@ class AlignmentTable(Shown, Tabular):
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the table as CSV, from which `load` and `Detector.with_alignment` read it back exactly.
 
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+
         Raises
         ------
         FileExistsError
@@ -98,6 +103,10 @@ class AlignmentTable(Shown, Tabular):
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> AlignmentTable:
         """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
 
         Raises
         ------
