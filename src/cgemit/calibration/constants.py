@@ -73,6 +73,12 @@ def _constants(detector: Detector) -> Iterator[Constant]:
             yield Constant(f"{path}.{LORENTZ}", "mm", ("lorentz", (number,)))
     if detector.drift_chamber is not None and detector.drift_chamber.layers:
         yield from _rigid("drift_chamber", "chamber", 0)
+        for number, wires in enumerate(detector.drift_chamber.layers):
+            path = f"drift_chamber.layers.{wires.number}"
+            yield from _rigid(path, "wires", number)
+            for end in ("east", "west"):
+                for key, i in (("shift_x", 0), ("shift_y", 1), ("rotation", 5)):
+                    yield Constant(f"{path}.{end}_{key}", "mm" if i < 5 else "rad", (end, (number, i)))
     yield Constant(FIELD, "", ("field", (0,)))
 
 

@@ -289,16 +289,18 @@ def rigid_parts(detector: Contents) -> dict[str, tuple[Floats, Floats]]:
     found = {}
     for layer in detector.layers:
         path = f"{layer.group}.{layer.label}"
-        found[path] = (_cylinder([(layer.r_mid, layer.half_length)]), layer.shift)
+        found[path] = (_cylinder([(layer.r_mid, *layer.ends)]), layer.shift)
     chamber = detector.drift_chamber
     if chamber is not None and chamber.layers:
-        found["drift_chamber"] = _cylinder([(one.r_mid, one.half_length) for one in chamber.layers]), chamber.shift
+        found["drift_chamber"] = _cylinder([(one.r_mid, *one.ends) for one in chamber.layers]), chamber.shift
     return found
 
 
-def _cylinder(layers: list[tuple[float, float]]) -> Floats:
-    phi, share = (one.ravel() for one in np.meshgrid(np.arange(16) * np.pi / 8, np.linspace(-1, 1, 9)))
-    return np.concatenate([np.stack([r * np.cos(phi), r * np.sin(phi), half * share], axis=1) for r, half in layers])
+def _cylinder(layers: list[tuple[float, float, float]]) -> Floats:
+    phi, share = (one.ravel() for one in np.meshgrid(np.arange(16) * np.pi / 8, np.linspace(0, 1, 9)))
+    return np.concatenate(
+        [np.stack([r * np.cos(phi), r * np.sin(phi), low + (high - low) * share], axis=1) for r, low, high in layers]
+    )
 
 
 def pattern_values(detector: Contents, name: str) -> tuple[dict[str, float], float]:

@@ -116,7 +116,7 @@ def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, value
         moved = constants[:3] + np.cross(constants[3:], points - pivot)
         r = np.hypot(points[:, 0], points[:, 1])
         outer = np.isclose(r, r.max())
-        middle = outer & (np.abs(points[:, 2]) < 1e-6)
+        middle = outer & np.isclose(points[:, 2], np.median(points[outer, 2]))
         plane = outer & (np.abs(points[:, 1]) < 1e-6)
         for one, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, 0))):
             _quiver(one, points[rows][:, columns], moved[rows][:, columns])

@@ -200,13 +200,13 @@ class ColumnRow {
       const auto number = static_cast<std::size_t>(hit.layer);
       const mask_of<T> one = only(k);
       rigid(map_.wires[number], one, site.gradient, site.point, T(1.0), in_place);
-      const double half = detector.wires[number].half_length;
-      const T share = 0.5 * (1.0 + site.point[2] * (1 / half));
+      const Ends& ends = detector.wires[number].ends;
+      const T share = (site.point[2] - ends.low) * (1 / (ends.high - ends.low));
       const auto end = [&](double z) {
         return std::array<T, 3>{slot.wire.x + slope_x * z, slot.wire.y + slope_y * z, T(z)};
       };
-      rigid(map_.east[number], one, site.gradient, end(half), share, in_place);
-      rigid(map_.west[number], one, site.gradient, end(-half), 1.0 - share, in_place);
+      rigid(map_.east[number], one, site.gradient, end(ends.high), share, in_place);
+      rigid(map_.west[number], one, site.gradient, end(ends.low), 1.0 - share, in_place);
       const double drift = std::abs(hit.value), side = drift > 0 ? lane(slot.value, k) / drift : 0;
       for (const DriftColumn& column : map_.drift[number])
         add(column.column, one, T(side * at(column.change, drift / map_.drift_step)));
