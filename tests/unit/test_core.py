@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import os
+import re
 import signal
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 import cgemit as cg
 from borders import Call, compiled_names, deaths, recorded
+from cgemit import _core
+from cgemit.detector import compiled
 from cgemit.particles.species import compiled_decays
+from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster_errors import chip_delays, expected_errors
 from cgemit.truth.origins import particle_rows
 
@@ -84,3 +91,53 @@ def test_deaths_and_endless_calls_are_seen(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("borders.SECONDS", 1)
     found = deaths(Call("function", function, (1.0,), {"other": {"x": 1.0}}))
     assert found == ["function(0, 0): inf: SIGSEGV", "function(1, 'other', 'x'): 0.0: SIGALRM"]
+
+
+def without(columns: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    return {other: column for other, column in columns.items() if other != name}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda hits: without(hits, "sigma"), "hits:\n  sigma: missing"),
+        (lambda hits: hits | {"layer": hits["layer"] + 0.5}, "hits:\n  layer: got float64, expected int32"),
+        (
+            lambda hits: hits | {"value": hits["value"][1:]},
+            "hits:\n  value: expected a one-dimensional array",
+        ),
+        (
+            lambda hits: hits | {"side": hits["side"] * 1.0},
+            "hits:\n  side: got float64, expected int8",
+        ),  # may be missing
+        (
+            lambda hits: without(hits, "sigma") | {"kind": hits["kind"] + 0.5, "layer": "two"},
+            "hits:\n  kind: got float64, expected uint8\n  layer: got <U3, expected int32\n  sigma: missing",
+        ),
+    ],
+)
+def test_columns_of_a_struct_of_spans_are_named(change: Callable[[Any], Any], message: str) -> None:
+    run = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=0.0), 2, workers=1)
+    core = compiled(run.detector)
+    hits = collect_hits(core, run.candidates, run.candidate_hits, run.clusters, run.wire_hits).columns()
+    assert _core.reconstruction.hit_problems(core, hits) == ([], 0)
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
+        _core.reconstruction.hit_problems(core, change(hits))
+
+
+def test_columns_of_a_struct_of_a_row_are_named() -> None:
+    run = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=0.0), 2, workers=1, until="simulate")
+    truths = dict(run.truths.columns)
+    given: dict[str, Any] = {"gain": 1e4, "w_values": np.full(3, 0.026), "seed": 1}
+    errors = {name: np.full(3, 0.1) for name in ("sigma_x", "sigma_v", "sigma_time")}
+    smear = functools.partial(_core.simulation.smear_positions, compiled(run.detector), **given)
+    assert len(smear(truths, errors=errors)["gid"]) > 0
+    for wrong, message in (
+        (without(errors, "sigma_v"), "sigma_v: missing"),
+        (errors | {"sigma_v": np.full(3, "a")}, "sigma_v: got <U1, expected float64"),
+        (errors | {"sigma_v": np.full(2, 0.1)}, "sigma_v: expected a one-dimensional array of length 3"),
+    ):
+        with pytest.raises(ValueError, match=f"^errors:\n  {message}$"):
+            smear(truths, errors=wrong)
+    with pytest.raises(ValueError, match=r"^truths:\n  entry_y: missing$"):  # one of a point
+        smear(without(truths, "entry_y"), errors=errors)

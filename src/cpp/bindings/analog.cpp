@@ -8,9 +8,8 @@
 #include <utility>
 
 #include "bindings/arrays.hpp"
-#include "bindings/digi_tables.hpp"
+#include "bindings/fields.hpp"
 #include "bindings/gain_maps.hpp"
-#include "bindings/inputs.hpp"
 #include "bindings/interrupt.hpp"
 #include "bindings/part.hpp"
 #include "bindings/settings.hpp"
@@ -24,22 +23,8 @@ using namespace cgemit::bindings;
 namespace {
 
 std::vector<LayerDrift> layer_drift(const py::dict& table, const Detector& detector) {
-  Inputs in(table, "velocity");
-  const std::array<const char*, 14> names = {"velocity",  "tan_lorentz", "sigma_x",    "sigma_par", "sigma_l",
-                                             "shift",     "delay",       "induction",  "first_phi", "first_z",
-                                             "cloud_phi", "cloud_z",     "hole_pitch", "w_value"};
-  std::array<std::span<const double>, 14> columns;
-  for (std::size_t k = 0; k < names.size(); ++k) columns[k] = in.get<double>(names[k]);
-  if (columns[0].size() != detector.layers.size()) {
-    throw std::invalid_argument("drift: expected one row for each CGEM layer");
-  }
-  std::vector<LayerDrift> found;
-  for (std::size_t i = 0; i < columns[0].size(); ++i) {
-    const auto at = [&](std::size_t k) { return columns[k][i]; };
-    found.push_back({at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7), at(8), at(9), at(10), at(11),
-                     at(12), at(13)});
-  }
-  return found;
+  Inputs in(table, "drift", static_cast<py::ssize_t>(detector.layers.size()));
+  return in.read_rows<LayerDrift>();
 }
 
 ElectronPhysics electron_physics(const py::dict& values) {
@@ -187,9 +172,9 @@ py::dict analog(const Detector& detector, const py::dict& table, const py::dict&
                 double share_spread, const Array<double>& way,
                 const std::pair<Array<double>, std::size_t>& induced, std::uint64_t seed,
                 const py::dict& gain_table) {
-  Inputs in(table, "event"), step_in(step_table, "event");
-  const TruthColumns truths = truth_columns(in);
-  const StepColumns steps = step_columns(step_in);
+  Inputs in(table, "truths"), step_in(step_table, "steps");
+  const auto truths = in.read<TruthColumns>();
+  const auto steps = step_in.read<StepColumns>();
   const std::vector<LayerDrift> layers = layer_drift(drift, detector);
   const AnalogModel readout{
       .drift = layers,

@@ -12,9 +12,13 @@
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <tuple>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "common/columns.hpp"
+#include "common/problems.hpp"
 
 namespace cgemit::bindings {
 
@@ -45,6 +49,7 @@ std::span<const T> matrix(const Array<T>& array, const char* name, py::ssize_t r
 
 // Numpy array that owns the vector's memory.
 template <class T>
+  requires(!std::is_enum_v<T>)
 py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape = {}) {
   if (shape.empty()) shape = {static_cast<py::ssize_t>(values.size())};
   auto owner = std::make_unique<std::vector<T>>(std::move(values));
@@ -55,6 +60,16 @@ py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape 
   return array;
 }
 
+// Enums go out as their numbers.
+template <class T>
+  requires std::is_enum_v<T>
+auto to_numpy(std::vector<T>&& values) {
+  std::vector<std::underlying_type_t<T>> numbers(values.size());
+  std::ranges::transform(values, numbers.begin(),
+                         [](T one) { return static_cast<std::underlying_type_t<T>>(one); });
+  return to_numpy(std::move(numbers));
+}
+
 template <class Row>
 py::dict to_dict(Columns<Row>&& table) {
   py::dict columns;
@@ -62,11 +77,43 @@ py::dict to_dict(Columns<Row>&& table) {
   return columns;
 }
 
-// A named column of a dict of columns, converted to T.
+// A table of a struct of vectors.
+template <class Table>
+  requires requires { Table::columns(); }
+py::dict to_dict(Table&& table) {
+  py::dict columns;
+  std::apply([&](const auto&... one) { ((columns[one.name] = to_numpy(std::move(table.*one.value))), ...); },
+             Table::columns());
+  return columns;
+}
+
+// Takes a named column of a dict of columns as numbers T; false, with a problem, where it is missing or has
+// another type.
+template <class T>
+bool take(const py::dict& columns, const std::string& name, Problems& problems, Array<T>& to) {
+  if (!columns.contains(name)) {
+    problems.add(name + ": missing");
+    return false;
+  }
+  const py::object given = columns[py::str(name)];
+  if (auto array = Array<T>::ensure(given)) {
+    to = std::move(array);
+    return true;
+  }
+  const auto as_it_is = py::array::ensure(given);
+  const py::str kind = as_it_is ? py::str(as_it_is.dtype()) : py::str(py::type::of(given));
+  problems.add(name + ": got " + kind.cast<std::string>() + ", expected " +
+               py::str(py::dtype::of<T>()).template cast<std::string>());
+  return false;
+}
+
 template <class T>
 Array<T> take(const py::dict& columns, const char* name) {
-  if (!columns.contains(name)) throw std::invalid_argument(std::string("missing column: ") + name);
-  return py::cast<Array<T>>(columns[name]);
+  Problems problems;
+  Array<T> found(0);
+  take(columns, name, problems, found);
+  problems.raise("columns");
+  return found;
 }
 
 }  // namespace cgemit::bindings

@@ -40,13 +40,7 @@ py::dict noisy_cells(const Detector& detector, const Array<std::int64_t>& events
     py::gil_scoped_release release;
     found = background_cells(detector, event, noise);
   }
-  py::dict out;
-  out["event"] = to_numpy(std::move(found.event));
-  out["layer"] = to_numpy(std::move(found.layer));
-  out["wire"] = to_numpy(std::move(found.wire));
-  out["gid"] = to_numpy(std::move(found.gid));
-  out["drift_time"] = to_numpy(std::move(found.drift_time));
-  return out;
+  return to_dict(std::move(found));
 }
 
 py::dict noisy_strips(const Detector& detector, const Array<std::int64_t>& events,
@@ -69,16 +63,7 @@ py::dict noisy_strips(const Detector& detector, const Array<std::int64_t>& event
     py::gil_scoped_release release;
     found = background_strips(detector, event, noise);
   }
-  py::dict out;
-  out["event"] = to_numpy(std::move(found.event));
-  out["layer"] = to_numpy(std::move(found.layer));
-  out["sheet"] = to_numpy(std::move(found.sheet));
-  out["view"] = to_numpy(std::move(found.view));
-  out["strip"] = to_numpy(std::move(found.strip));
-  out["gid"] = to_numpy(std::move(found.gid));
-  out["charge"] = to_numpy(std::move(found.charge));
-  out["time"] = to_numpy(std::move(found.time));
-  return out;
+  return to_dict(std::move(found));
 }
 
 std::tuple<py::array_t<std::int64_t>, py::array_t<std::int64_t>> channel_order(

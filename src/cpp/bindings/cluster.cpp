@@ -1,7 +1,8 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "bindings/inputs.hpp"
+#include "bindings/fields.hpp"
+#include "bindings/settings.hpp"
 #include "reconstruction/cluster/charge_time.hpp"
 #include "reconstruction/cluster/clusters.hpp"
 #include "reconstruction/cluster/positions.hpp"
@@ -13,25 +14,11 @@ using namespace cgemit::bindings;
 
 namespace {
 
-DigiView digi_view(Inputs& in) {
-  DigiView digis;
-  digis.event = in.get<std::int64_t>("event");
-  digis.layer = in.get<std::int32_t>("layer");
-  digis.sheet = in.get<std::int32_t>("sheet");
-  digis.view = in.get<std::int8_t>("view");
-  digis.strip = in.get<std::int32_t>("strip");
-  digis.charge = in.get<double>("charge");
-  digis.time = in.get<double>("time");
-  digis.truth = in.get<std::int64_t>("truth");
-  digis.n_truths = in.get<std::int32_t>("n_truths");
-  return digis;
-}
-
 py::dict of_strips(const Detector& detector, const py::dict& table, const Array<double>& err_x,
                    const Array<double>& err_v, bool by_charge, const Array<std::int32_t>& masked,
                    std::int32_t bridge) {
-  Inputs in(table, "event");
-  const DigiView digis = digi_view(in);
+  Inputs in(table, "digis");
+  const auto digis = in.read<DigiView>();
   const auto layers = static_cast<py::ssize_t>(detector.layers.size());
   const py::ssize_t sizes = err_x.ndim() == 2 ? err_x.shape(1) : 0;
   if (sizes < 1) throw std::invalid_argument("err_x: expected shape (layers, sizes)");
@@ -48,8 +35,8 @@ py::dict of_strips(const Detector& detector, const py::dict& table, const Array<
 
 py::dict of_positions(const Detector& detector, const py::dict& table, const Array<double>& err_x,
                       const Array<double>& err_v) {
-  Inputs in(table, "event");
-  DigiView digis = digi_view(in);
+  Inputs in(table, "digis");
+  auto digis = in.read<DigiView>();
   digis.position = in.get<double>("position");
   const auto layers = static_cast<py::ssize_t>(detector.layers.size());
   const auto x = column(err_x, "err_x", layers), v = column(err_v, "err_v", layers);
@@ -61,33 +48,11 @@ py::dict of_positions(const Detector& detector, const py::dict& table, const Arr
   return to_dict(std::move(found));
 }
 
-// Entry i of a column for each CGEM layer.
-std::vector<LayerTiming> layer_timing(const py::dict& table, const Detector& detector) {
-  Inputs in(table, "velocity");
-  const auto velocity = in.get<double>("velocity"), tan_lorentz = in.get<double>("tan_lorentz"),
-             shift = in.get<double>("shift"), delay = in.get<double>("delay");
-  if (velocity.size() != detector.layers.size()) {
-    throw std::invalid_argument("timing: expected one row for each CGEM layer");
-  }
-  std::vector<LayerTiming> found;
-  for (std::size_t i = 0; i < velocity.size(); ++i) {
-    found.push_back({velocity[i], tan_lorentz[i], shift[i], delay[i]});
-  }
-  return found;
-}
-
 // One view of each layer after the other.
-std::vector<PlaneErrors> plane_errors(const py::dict& table, std::size_t planes) {
-  Inputs in(table, "pitch");
-  const auto pitch = in.get<double>("pitch"), gap = in.get<double>("gap"),
-             velocity = in.get<double>("velocity"), diffusion = in.get<double>("diffusion"),
-             cloud = in.get<double>("cloud"), threshold = in.get<double>("threshold");
-  if (pitch.size() != planes) throw std::invalid_argument("planes: expected one row for each view and layer");
-  std::vector<PlaneErrors> found;
-  for (std::size_t i = 0; i < planes; ++i) {
-    found.push_back({pitch[i], gap[i], velocity[i], diffusion[i], cloud[i], threshold[i],
-                     strip_wave(pitch[i], cloud[i])});
-  }
+std::vector<PlaneErrors> plane_errors(const py::dict& table, py::ssize_t planes) {
+  Inputs in(table, "planes", planes);
+  auto found = in.read_rows<PlaneErrors>();
+  for (PlaneErrors& one : found) one.wave = strip_wave(one.pitch, one.cloud);
   return found;
 }
 
@@ -101,23 +66,25 @@ ShareTable share_table(const Array<double>& paths, const Array<double>& numbers,
 }
 
 ChipErrors chip_errors(const py::dict& numbers) {
-  const auto of = [&](const char* name) { return numbers[name].cast<double>(); };
-  return {.ionization = of("ionization"),
-          .cut = of("cut"),
-          .diffusion = of("diffusion"),
-          .span = of("span"),
-          .time = of("time"),
-          .wide = of("wide"),
-          .line = of("line"),
-          .height_by_threshold = of("height_by_threshold"),
-          .noise = of("noise"),
-          .jitter = of("jitter"),
-          .rise = of("rise"),
-          .level = of("level"),
-          .gain_variance = of("gain_variance"),
-          .electrons_per_fC = of("electrons_per_fC"),
-          .slope = of("slope"),
-          .share_spread = of("share_spread")};
+  Settings in("chip", numbers);
+  const ChipErrors errors{.ionization = in["ionization"],
+                          .cut = in["cut"],
+                          .diffusion = in["diffusion"],
+                          .span = in["span"],
+                          .time = in["time"],
+                          .wide = in["wide"],
+                          .line = in["line"],
+                          .height_by_threshold = in["height_by_threshold"],
+                          .noise = in["noise"],
+                          .jitter = in["jitter"],
+                          .rise = in["rise"],
+                          .level = in["level"],
+                          .gain_variance = in["gain_variance"],
+                          .electrons_per_fC = in["electrons_per_fC"],
+                          .slope = in["slope"],
+                          .share_spread = in["share_spread"]};
+  in.check();
+  return errors;
 }
 
 Estimator estimator_of(const std::string& name) {
@@ -133,12 +100,12 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
                     const Array<std::int32_t>& masked, std::int32_t bridge, const Array<double>& gain,
                     double valley, double margin, bool timed, const Array<double>& slopes,
                     const Array<double>& paths) {
-  Inputs in(table, "event");
-  const DigiView digis = digi_view(in);
-  const std::vector<LayerTiming> layers = layer_timing(timing, detector);
+  Inputs in(table, "digis");
+  const auto digis = in.read<DigiView>();
   const std::size_t n = detector.layers.size();
   const auto rows = static_cast<py::ssize_t>(n);
-  const std::vector<PlaneErrors> by_plane = plane_errors(planes, 2 * n);
+  const auto layers = Inputs(timing, "timing", rows).read_rows<LayerTiming>();
+  const std::vector<PlaneErrors> by_plane = plane_errors(planes, 2 * rows);
   const auto array = [](const py::dict& from, const char* name) { return from[name].cast<Array<double>>(); };
   const Array<double> spreads = array(delays, "spreads"), charges = array(delays, "charges"),
                       delay = array(delays, "delays"), share_paths = array(shares, "paths"),
@@ -182,7 +149,7 @@ py::array_t<double> expected_variances(const py::dict& chip, const py::dict& pla
   const Array<double> share_paths = array(shares, "paths"), numbers = array(shares, "numbers"),
                       values = array(shares, "values");
   const auto rows = array(planes, "pitch").size();
-  const std::vector<PlaneErrors> by_plane = plane_errors(planes, static_cast<std::size_t>(rows));
+  const std::vector<PlaneErrors> by_plane = plane_errors(planes, rows);
   const ChargeErrors errors{
       chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows / 2), {}, {}, {}};
   if ((view != 0 && view != 1) || layer >= static_cast<std::size_t>(rows / 2)) {

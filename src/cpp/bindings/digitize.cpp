@@ -1,9 +1,8 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "bindings/digi_tables.hpp"
+#include "bindings/fields.hpp"
 #include "bindings/gain_maps.hpp"
-#include "bindings/inputs.hpp"
 #include "kernels/kernels.hpp"
 #include "simulation/digitize/binary.hpp"
 #include "simulation/digitize/efficiency.hpp"
@@ -24,9 +23,9 @@ std::span<const double> per_layer(const Array<double>& w_values, const Detector&
 
 py::dict strips(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
                 const Array<double>& w_values, double threshold, const py::dict& gain_table) {
-  Inputs in(table, "event"), step_in(step_table, "event");
-  const TruthColumns truths = truth_columns(in);
-  const StepColumns steps = step_columns(step_in);
+  Inputs in(table, "truths"), step_in(step_table, "steps");
+  const auto truths = in.read<TruthColumns>();
+  const auto steps = step_in.read<StepColumns>();
   const BinaryReadout readout{
       .gain = gain, .w_values = per_layer(w_values, detector), .threshold = threshold};
   const GainMaps gains = gain_maps(detector, gain_table);
@@ -39,20 +38,14 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
 }
 
 std::vector<PositionErrors> position_errors(const py::dict& table, const Detector& detector) {
-  Inputs in(table, "sigma_x");
-  const auto x = in.get<double>("sigma_x"), v = in.get<double>("sigma_v"),
-             time = in.get<double>("sigma_time");
-  if (x.size() != detector.layers.size())
-    throw std::invalid_argument("errors: expected one row for each layer");
-  std::vector<PositionErrors> found;
-  for (std::size_t i = 0; i < x.size(); ++i) found.push_back({x[i], v[i], time[i]});
-  return found;
+  Inputs in(table, "errors", static_cast<py::ssize_t>(detector.layers.size()));
+  return in.read_rows<PositionErrors>();
 }
 
 Array<bool> seen(const Detector& detector, const py::dict& table, const Array<double>& efficiency,
                  std::uint64_t seed) {
-  Inputs in(table, "event");
-  const TruthColumns truths = truth_columns(in);
+  Inputs in(table, "truths");
+  const auto truths = in.read<TruthColumns>();
   const std::span<const double> of_layers = per_layer(efficiency, detector);
   Array<bool> found(static_cast<py::ssize_t>(truths.size()));
   seen_crossings(detector, truths, of_layers, seed, {found.mutable_data(), truths.size()});
@@ -61,8 +54,8 @@ Array<bool> seen(const Detector& detector, const py::dict& table, const Array<do
 
 py::dict smeared(const Detector& detector, const py::dict& table, double gain, const Array<double>& w_values,
                  const py::dict& errors, std::uint64_t seed) {
-  Inputs in(table, "event");
-  const TruthColumns truths = truth_columns(in);
+  Inputs in(table, "truths");
+  const auto truths = in.read<TruthColumns>();
   const std::vector<PositionErrors> of_layers = position_errors(errors, detector);
   const GaussianReadout readout{
       .errors = of_layers, .gain = gain, .w_values = per_layer(w_values, detector), .seed = seed};
@@ -77,9 +70,9 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
 py::dict profiles(const Detector& detector, const py::dict& table, const py::dict& step_table, double gain,
                   const Array<double>& w_values, double sigma, double threshold, double noise,
                   std::uint64_t seed, const py::dict& gain_table) {
-  Inputs in(table, "event"), step_in(step_table, "event");
-  const TruthColumns truths = truth_columns(in);
-  const StepColumns steps = step_columns(step_in);
+  Inputs in(table, "truths"), step_in(step_table, "steps");
+  const auto truths = in.read<TruthColumns>();
+  const auto steps = step_in.read<StepColumns>();
   const ProjectionReadout readout{.gain = gain,
                                   .w_values = per_layer(w_values, detector),
                                   .sigma = sigma,
@@ -96,7 +89,7 @@ py::dict profiles(const Detector& detector, const py::dict& table, const py::dic
 }
 
 py::dict wires(const Detector& detector, const py::dict& table, bool reveal_sides, std::uint64_t seed) {
-  Inputs in(table, "event");
+  Inputs in(table, "wire_truths");
   WireTruthColumns truths;
   truths.event = in.get<std::int64_t>("event");
   truths.particle = in.get<std::int32_t>("particle");

@@ -3,8 +3,8 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
+#include "bindings/fields.hpp"
 #include "bindings/hits.hpp"
-#include "bindings/inputs.hpp"
 #include "bindings/interrupt.hpp"
 #include "bindings/part.hpp"
 #include "bindings/settings.hpp"
@@ -61,7 +61,7 @@ py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_off
   const HitColumns columns(detector, hit_columns, static_cast<py::ssize_t>(offsets.back()));
   PairScores pairs;
   if (!pair_table.empty()) {
-    Inputs in(pair_table, "score");
+    Inputs in(pair_table, "pairs");
     pairs = PairScores(in.get<std::int64_t>("x"), in.get<std::int64_t>("v"), in.get<double>("score"));
   }
   FindOutput found;

@@ -1,7 +1,7 @@
 // Gain maps of `cgemit.detector.core.gain_table`; an empty dict stands for a gain of 1 everywhere.
 #pragma once
 
-#include "bindings/inputs.hpp"
+#include "bindings/fields.hpp"
 #include "readout/strip_maps.hpp"
 
 namespace cgemit::bindings {

@@ -9,23 +9,7 @@
 namespace cgemit::bindings {
 
 HitColumns::HitColumns(const Detector& detector, const py::dict& columns, py::ssize_t n, bool check)
-    : rules_(detector) {
-  const auto get = [&]<class T>(std::span<const T>& to, const char* name, bool needed = true) {
-    if (!needed && !columns.contains(name)) return;
-    const auto array = bindings::take<T>(columns, name);
-    held_.append(array);
-    to = column(array, name, n);
-  };
-  get(hits_.kind, "kind");
-  get(hits_.layer, "layer");
-  get(hits_.channel, "channel");
-  get(hits_.size, "size");
-  get(hits_.value, "value");
-  get(hits_.sigma, "sigma");
-  get(hits_.k, "k", false);
-  get(hits_.x, "x", false);
-  get(hits_.side, "side", false);
-  get(hits_.row, "row", false);
+    : rules_(detector), in_(columns, "hits", n), hits_(in_.read<HitView>()) {
   if (hits_.side.size() != hits_.kind.size()) {
     no_sides_.resize(hits_.kind.size());
     hits_.side = no_sides_;
@@ -87,51 +71,22 @@ namespace {
 
 py::dict collect(const Detector& detector, const py::dict& candidates, const py::dict& candidate_hits,
                  const py::dict& clusters, const py::dict& wire_hits) {
-  Inputs candidate(candidates, "event"), hit(candidate_hits, "event"), cluster(clusters, "event"),
-      wire(wire_hits, "event");
+  Inputs candidate(candidates, "candidates"), hit(candidate_hits, "candidate_hits"),
+      cluster(clusters, "clusters"), wire(wire_hits, "wire_hits");
   const CandidateInput chosen{.event = candidate.get<std::int64_t>("event"),
                               .mass = candidate.get<double>("mass"),
                               .hit_event = hit.get<std::int64_t>("event"),
                               .candidate = hit.get<std::int64_t>("candidate"),
                               .row = hit.get<std::int64_t>("row"),
                               .view = hit.get<std::int8_t>("view")};
-  ClusterInput of_clusters{.event = cluster.get<std::int64_t>("event"),
-                           .layer = cluster.get<std::int32_t>("layer"),
-                           .sheet = cluster.get<std::int32_t>("sheet"),
-                           .size = cluster.get<std::int32_t>("size"),
-                           .view = cluster.get<std::int8_t>("view"),
-                           .x = cluster.get<double>("x"),
-                           .v = cluster.get<double>("v"),
-                           .err_x = cluster.get<double>("err_x"),
-                           .err_v = cluster.get<double>("err_v"),
-                           .cov_xv = {},
-                           .corr_xv = {}};
-  if (clusters.contains("cov_xv")) of_clusters.cov_xv = cluster.get<double>("cov_xv");
-  if (clusters.contains("corr_xv")) of_clusters.corr_xv = cluster.get<double>("corr_xv");
-  const WireInput of_wires{.event = wire.get<std::int64_t>("event"),
-                           .layer = wire.get<std::int32_t>("layer"),
-                           .wire = wire.get<std::int32_t>("wire"),
-                           .drift = wire.get<double>("drift"),
-                           .sigma = wire.get<double>("sigma"),
-                           .side = wire.get<std::int8_t>("side")};
+  const auto of_clusters = cluster.read<ClusterInput>();
+  const auto of_wires = wire.read<WireInput>();
   CollectedHits hits;
   {
     py::gil_scoped_release release;
     hits = collect_hits(detector, chosen, of_clusters, of_wires);
   }
-  py::dict out;
-  out["hit_offsets"] = to_numpy(std::move(hits.offsets));
-  out["kind"] = to_numpy(std::move(hits.kind));
-  out["layer"] = to_numpy(std::move(hits.layer));
-  out["channel"] = to_numpy(std::move(hits.channel));
-  out["value"] = to_numpy(std::move(hits.value));
-  out["sigma"] = to_numpy(std::move(hits.sigma));
-  out["size"] = to_numpy(std::move(hits.size));
-  out["side"] = to_numpy(std::move(hits.side));
-  out["row"] = to_numpy(std::move(hits.row));
-  out["k"] = to_numpy(std::move(hits.k));
-  out["x"] = to_numpy(std::move(hits.x));
-  return out;
+  return to_dict(std::move(hits));
 }
 
 py::tuple problems(const Detector& detector, const py::dict& hits) {

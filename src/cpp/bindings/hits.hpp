@@ -5,14 +5,12 @@
 
 #include <vector>
 
-#include "bindings/inputs.hpp"
+#include "bindings/fields.hpp"
 #include "reconstruction/fit/hit_rules.hpp"
 
 namespace cgemit::bindings {
 
-// Columns of hits: kind u8 (0 X, 1 V, 2 wire), layer i32 (CGEM index or the experiment's wire-layer number),
-// channel i32 (sheet or wire), size i32, value f8 (mm), sigma f8 (mm); each of length n. Optional: side i8
-// (0, unknown), k f8 and x f8 (0, see Hit), row i64 (for messages).
+// Columns of n hits (`HitView`). Optional: side (0, unknown), k and x (0, see Hit), row (for messages).
 class HitColumns {
  public:
   // Throws, with `check` listing every problem with the hits too.
@@ -36,7 +34,7 @@ class HitColumns {
 
  private:
   HitRules rules_;
-  pybind11::list held_;
+  Inputs in_;
   HitView hits_;
   std::vector<std::int8_t> no_sides_;
 };

@@ -58,11 +58,8 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
     kernels().simulate(detector, in, settings, seed, out);
   }
   throw_if_interrupted();
-  std::vector<std::int8_t> status;
-  status.reserve(out.status.size());
-  for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));
   py::dict result;
-  result["status"] = to_numpy(std::move(status));
+  result["status"] = to_numpy(std::move(out.status));
   result["truths"] = to_dict(std::move(out.truths));
   result["steps"] = to_dict(std::move(out.steps));
   result["wire_truths"] = to_dict(std::move(out.wire_truths));
@@ -77,17 +74,7 @@ py::dict pass_slabs(const Detector& detector, double p, double mass, double char
     py::gil_scoped_release release;
     out = through_slabs(detector, particle(p, mass, charge), first, n, seed);
   }
-  std::vector<std::int8_t> status;
-  status.reserve(n);
-  for (const TransportStatus s : out.status) status.push_back(static_cast<std::int8_t>(s));
-  py::dict columns;
-  columns["angle_1"] = to_numpy(std::move(out.angle_1));
-  columns["angle_2"] = to_numpy(std::move(out.angle_2));
-  columns["shift_1"] = to_numpy(std::move(out.shift_1));
-  columns["shift_2"] = to_numpy(std::move(out.shift_2));
-  columns["loss"] = to_numpy(std::move(out.loss));
-  columns["status"] = to_numpy(std::move(status));
-  return columns;
+  return to_dict(std::move(out));
 }
 
 }  // namespace

@@ -10,7 +10,8 @@
 #include <algorithm>
 #include <optional>
 
-#include "bindings/inputs.hpp"
+#include "bindings/fields.hpp"
+#include "common/particle_rows.hpp"
 
 namespace py = pybind11;
 using namespace cgemit;
@@ -77,8 +78,8 @@ std::int64_t outside(const Array<std::int64_t>& numbers, const std::vector<std::
 }
 
 py::array_t<std::int64_t> rows_of_particles(const py::dict& particles, const py::dict& crossings) {
-  Inputs of_particles(particles, "event"), of_crossings(crossings, "event");
-  return to_numpy(particle_rows(numbered(of_particles), numbered(of_crossings)));
+  Inputs of_particles(particles, "particles"), of_crossings(crossings, "crossings");
+  return to_numpy(particle_rows(of_particles.read<NumberedRows>(), of_crossings.read<NumberedRows>()));
 }
 
 // Lets glibc keep the memory of a chunk of events for the next one, at once as much as it would keep by

@@ -312,7 +312,7 @@ py::tuple count_ranges(const Array<std::int32_t>& firsts, const Array<std::int32
 // For tests: tracks with nothing but hits compete.
 py::dict settle(const py::dict& track_columns, const py::dict& entry_columns, const py::dict& hit_columns,
                 double min_score) {
-  Inputs of_track(track_columns, "score"), of_entry(entry_columns, "hit"), of_hit(hit_columns, "wire");
+  Inputs of_track(track_columns, "tracks"), of_entry(entry_columns, "entries"), of_hit(hit_columns, "hits");
   const auto score = of_track.get<double>("score");
   const auto count = of_track.get<std::int64_t>("hits");
   const auto hit = of_entry.get<std::int64_t>("hit");

@@ -1,7 +1,7 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/arrays.hpp"
-#include "bindings/inputs.hpp"
+#include "bindings/fields.hpp"
 #include "truth/owners.hpp"
 
 namespace py = pybind11;
@@ -9,10 +9,6 @@ using namespace cgemit;
 using namespace cgemit::bindings;
 
 namespace {
-
-CrossingRows crossings_of(Inputs& in) {
-  return {numbered(in), in.get<std::int32_t>("daughter"), in.get<std::int8_t>("half_turn")};
-}
 
 // Links count rows below `size`; those below `least` are no rows.
 Links links(Inputs& in, const char* name, std::size_t size, std::int64_t least = -1) {
@@ -28,10 +24,11 @@ Links links(Inputs& in, const char* name, std::size_t size, std::int64_t least =
 py::dict matched(const py::dict& particles, const py::dict& truths, const py::dict& wire_truths,
                  const py::dict& clusters, const py::dict& wire_hits, const py::dict& candidate_hits,
                  std::size_t candidates) {
-  Inputs of_particles(particles, "event"), of_truths(truths, "event"), of_crossings(wire_truths, "event"),
-      of_clusters(clusters, "event"), of_wires(wire_hits, "event"), of_hits(candidate_hits, "event");
-  const CrossingRows in_gaps = crossings_of(of_truths), in_cells = crossings_of(of_crossings);
-  const MatchInput input{.particles = numbered(of_particles),
+  Inputs of_particles(particles, "particles"), of_truths(truths, "truths"),
+      of_crossings(wire_truths, "wire_truths"), of_clusters(clusters, "clusters"),
+      of_wires(wire_hits, "wire_hits"), of_hits(candidate_hits, "candidate_hits");
+  const CrossingRows in_gaps = of_truths.read<CrossingRows>(), in_cells = of_crossings.read<CrossingRows>();
+  const MatchInput input{.particles = of_particles.read<NumberedRows>(),
                          .truths = in_gaps,
                          .wire_truths = in_cells,
                          .cluster_truth = links(of_clusters, "truth", in_gaps.event.size()),
@@ -48,27 +45,17 @@ py::dict matched(const py::dict& particles, const py::dict& truths, const py::di
     py::gil_scoped_release release;
     found = match_hits(input);
   }
-  py::dict out;
-  out["particle"] = to_numpy(std::move(found.particle));
-  out["own"] = to_numpy(std::move(found.own));
-  out["hits"] = to_numpy(std::move(found.hits));
-  out["found"] = to_numpy(std::move(found.found));
-  out["left"] = to_numpy(std::move(found.left));
-  out["of_daughters"] = to_numpy(std::move(found.of_daughters));
-  out["of_loops"] = to_numpy(std::move(found.of_loops));
-  out["half_turn"] = to_numpy(std::move(found.half_turn));
-  out["crossings"] = to_numpy(std::move(found.crossings));
-  out["crossings_left"] = to_numpy(std::move(found.crossings_left));
-  return out;
+  return to_dict(std::move(found));
 }
 
 py::dict assigned(const py::dict& particles, const py::dict& truths, const py::dict& wire_truths,
                   const py::dict& clusters, const py::dict& wire_hits, const Array<std::int64_t>& candidates,
                   const Array<std::int64_t>& rows) {
-  Inputs of_particles(particles, "event"), of_truths(truths, "event"), of_crossings(wire_truths, "event"),
-      of_clusters(clusters, "event"), of_wires(wire_hits, "event");
-  const CrossingRows in_gaps = crossings_of(of_truths), in_cells = crossings_of(of_crossings);
-  const AssignInput input{.particles = numbered(of_particles),
+  Inputs of_particles(particles, "particles"), of_truths(truths, "truths"),
+      of_crossings(wire_truths, "wire_truths"), of_clusters(clusters, "clusters"),
+      of_wires(wire_hits, "wire_hits");
+  const CrossingRows in_gaps = of_truths.read<CrossingRows>(), in_cells = of_crossings.read<CrossingRows>();
+  const AssignInput input{.particles = of_particles.read<NumberedRows>(),
                           .truths = in_gaps,
                           .wire_truths = in_cells,
                           .candidates = column(candidates, "candidates", py::len(particles["event"])),
@@ -83,11 +70,7 @@ py::dict assigned(const py::dict& particles, const py::dict& truths, const py::d
     py::gil_scoped_release release;
     found = assign_hits(input);
   }
-  py::dict out;
-  out["candidate"] = to_numpy(std::move(found.candidate));
-  out["view"] = to_numpy(std::move(found.view));
-  out["row"] = to_numpy(std::move(found.row));
-  return out;
+  return to_dict(std::move(found));
 }
 
 }  // namespace

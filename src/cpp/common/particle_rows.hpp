@@ -3,7 +3,10 @@
 
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
+
+#include "common/columns.hpp"
 
 namespace cgemit {
 
@@ -11,6 +14,10 @@ namespace cgemit {
 struct NumberedRows {
   std::span<const std::int64_t> event;
   std::span<const std::int32_t> particle;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &NumberedRows::event), Column("particle", &NumberedRows::particle));
+  }
 };
 
 // Row of the particle that each row names; -1 none.

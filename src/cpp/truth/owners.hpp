@@ -4,8 +4,10 @@
 
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "common/particle_rows.hpp"
 
 namespace cgemit {
@@ -16,6 +18,12 @@ using Links = std::span<const std::int64_t>;
 struct CrossingRows : NumberedRows {
   std::span<const std::int32_t> daughter;
   std::span<const std::int8_t> half_turn;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &CrossingRows::event), Column("particle", &CrossingRows::particle),
+                      Column("daughter", &CrossingRows::daughter),
+                      Column("half_turn", &CrossingRows::half_turn));
+  }
 };
 
 struct MatchInput {
@@ -40,6 +48,15 @@ struct MatchOutput {
   std::vector<std::int64_t> crossings;
   // Of each particle, of its first half turn: X and V clusters and wire hits, at least 1; and measurements.
   std::vector<std::int64_t> left, crossings_left;
+
+  static constexpr auto columns() {
+    return std::tuple(
+        Column("particle", &MatchOutput::particle), Column("own", &MatchOutput::own),
+        Column("hits", &MatchOutput::hits), Column("found", &MatchOutput::found),
+        Column("left", &MatchOutput::left), Column("of_daughters", &MatchOutput::of_daughters),
+        Column("of_loops", &MatchOutput::of_loops), Column("half_turn", &MatchOutput::half_turn),
+        Column("crossings", &MatchOutput::crossings), Column("crossings_left", &MatchOutput::crossings_left));
+  }
 };
 
 // Throws std::invalid_argument where a hit of a candidate counts a row that is not there.
@@ -51,6 +68,11 @@ MatchOutput match_hits(const MatchInput& input);
 struct HitsOfParticles {
   std::vector<std::int64_t> candidate, row;
   std::vector<std::int8_t> view;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("candidate", &HitsOfParticles::candidate),
+                      Column("view", &HitsOfParticles::view), Column("row", &HitsOfParticles::row));
+  }
 };
 
 // The hits of each candidate from the beam line outward: clusters by layer, then wire hits by layer, those of

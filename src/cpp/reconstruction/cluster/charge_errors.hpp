@@ -4,6 +4,9 @@
 
 #include <cstddef>
 #include <span>
+#include <tuple>
+
+#include "common/columns.hpp"
 
 namespace cgemit {
 
@@ -38,6 +41,13 @@ struct PlaneErrors {
   double cloud;       // mm^2, variance of the charge of one electron on the anode
   double threshold;   // fC
   double wave;        // mm^2, variance of a centroid by its place on the strip: strip_wave
+
+  static constexpr auto columns() {
+    return std::tuple(Column("pitch", &PlaneErrors::pitch), Column("gap", &PlaneErrors::gap),
+                      Column("velocity", &PlaneErrors::velocity),
+                      Column("diffusion", &PlaneErrors::diffusion), Column("cloud", &PlaneErrors::cloud),
+                      Column("threshold", &PlaneErrors::threshold));
+  }
 };
 
 // Variance, mm^2, of the centroid of a Gaussian cloud by its place on a strip: its integrals over strips

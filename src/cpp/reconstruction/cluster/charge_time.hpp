@@ -4,7 +4,9 @@
 
 #include <cstdint>
 #include <span>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "readout/cluster_rows.hpp"
 #include "readout/strip_maps.hpp"
 #include "reconstruction/cluster/charge_errors.hpp"
@@ -18,6 +20,12 @@ struct LayerTiming {
   double tan_lorentz;  // in the drift gap, positive towards larger phi
   double shift;        // rad, Lorentz shift behind the drift gap
   double delay;  // ns, between the crossing and the arrival of electrons without drift in the induction gap
+
+  static constexpr auto columns() {
+    return std::tuple(Column("velocity", &LayerTiming::velocity),
+                      Column("tan_lorentz", &LayerTiming::tan_lorentz), Column("shift", &LayerTiming::shift),
+                      Column("delay", &LayerTiming::delay));
+  }
 };
 
 // Delay of the chip by layer, view, time in which the charge of a strip arrives, and measured charge: between

@@ -10,6 +10,7 @@
 #include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "detector/detector.hpp"
 
 namespace cgemit {
@@ -26,6 +27,16 @@ struct DigiView {
 
   std::size_t size() const { return event.size(); }
   auto sheet_of(std::size_t i) const { return std::tuple(event[i], layer[i], sheet[i]); }
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &DigiView::event), Column("layer", &DigiView::layer),
+                      Column("sheet", &DigiView::sheet), Column("view", &DigiView::view),
+                      Column("strip", &DigiView::strip), Column("charge", &DigiView::charge),
+                      Column("time", &DigiView::time), Column("truth", &DigiView::truth),
+                      Column("n_truths", &DigiView::n_truths));
+  }
+
+  static constexpr auto optional() { return std::tuple(Column("position", &DigiView::position)); }
 };
 
 [[noreturn]] inline void refuse(std::size_t row, const char* what, std::int32_t value, std::int32_t count) {

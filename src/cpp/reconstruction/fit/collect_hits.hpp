@@ -4,8 +4,10 @@
 
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "reconstruction/fit/hit_rules.hpp"
 
 namespace cgemit {
@@ -26,6 +28,18 @@ struct ClusterInput {
   std::span<const double> cov_xv;  // mm^2, of XV clusters: covariance of x and v; may be empty
   std::span<const double>
       corr_xv;  // correlation of x and v of X and V clusters of one particle; may be empty
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &ClusterInput::event), Column("layer", &ClusterInput::layer),
+                      Column("sheet", &ClusterInput::sheet), Column("size", &ClusterInput::size),
+                      Column("view", &ClusterInput::view), Column("x", &ClusterInput::x),
+                      Column("v", &ClusterInput::v), Column("err_x", &ClusterInput::err_x),
+                      Column("err_v", &ClusterInput::err_v));
+  }
+
+  static constexpr auto optional() {
+    return std::tuple(Column("cov_xv", &ClusterInput::cov_xv), Column("corr_xv", &ClusterInput::corr_xv));
+  }
 };
 
 struct WireInput {
@@ -33,6 +47,12 @@ struct WireInput {
   std::span<const std::int32_t> layer, wire;
   std::span<const double> drift, sigma;
   std::span<const std::int8_t> side;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &WireInput::event), Column("layer", &WireInput::layer),
+                      Column("wire", &WireInput::wire), Column("drift", &WireInput::drift),
+                      Column("sigma", &WireInput::sigma), Column("side", &WireInput::side));
+  }
 };
 
 // Flat columns; hits `offsets[i]` to `offsets[i + 1]` belong to candidate i. An XV cluster becomes two hits:
@@ -44,6 +64,15 @@ struct CollectedHits {
   std::vector<double> value, sigma, k, x;
   std::vector<std::int8_t> side;
   std::vector<std::int64_t> row;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("hit_offsets", &CollectedHits::offsets), Column("kind", &CollectedHits::kind),
+                      Column("layer", &CollectedHits::layer), Column("channel", &CollectedHits::channel),
+                      Column("value", &CollectedHits::value), Column("sigma", &CollectedHits::sigma),
+                      Column("size", &CollectedHits::size), Column("side", &CollectedHits::side),
+                      Column("row", &CollectedHits::row), Column("k", &CollectedHits::k),
+                      Column("x", &CollectedHits::x));
+  }
 };
 
 // The order of the result depends on the hits only, not on their order in the input. Throws, listing every

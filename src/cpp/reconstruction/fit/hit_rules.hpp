@@ -5,8 +5,10 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "common/problems.hpp"
 #include "kalman/group.hpp"
 
@@ -20,6 +22,17 @@ struct HitView {
   std::span<const double> value, sigma, k, x;   // as in Hit; k and x may be empty
   std::span<const std::int8_t> side;            // of the wire; 0: unknown
   std::span<const std::int64_t> row;            // of its table, for messages; may be empty
+
+  static constexpr auto columns() {
+    return std::tuple(Column("kind", &HitView::kind), Column("layer", &HitView::layer),
+                      Column("channel", &HitView::channel), Column("size", &HitView::size),
+                      Column("value", &HitView::value), Column("sigma", &HitView::sigma));
+  }
+
+  static constexpr auto optional() {
+    return std::tuple(Column("k", &HitView::k), Column("x", &HitView::x), Column("side", &HitView::side),
+                      Column("row", &HitView::row));
+  }
 };
 
 // What is wrong with a hit: the column, its value and what was expected of it.

@@ -5,8 +5,10 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "detector/detector.hpp"
 
 namespace cgemit {
@@ -30,6 +32,12 @@ struct NoisyCells {
   std::vector<std::int64_t> event;
   std::vector<std::int32_t> layer, wire, gid;  // layer: the experiment's number
   std::vector<double> drift_time;              // ns
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &NoisyCells::event), Column("layer", &NoisyCells::layer),
+                      Column("wire", &NoisyCells::wire), Column("gid", &NoisyCells::gid),
+                      Column("drift_time", &NoisyCells::drift_time));
+  }
 };
 
 NoisyCells background_cells(const Detector& detector, std::span<const std::int64_t> events,
@@ -52,6 +60,13 @@ struct NoisyStrips {
   std::vector<std::int32_t> layer, sheet, strip, gid;
   std::vector<std::int8_t> view;     // 0 X, 1 V
   std::vector<double> charge, time;  // fC, ns
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &NoisyStrips::event), Column("layer", &NoisyStrips::layer),
+                      Column("sheet", &NoisyStrips::sheet), Column("view", &NoisyStrips::view),
+                      Column("strip", &NoisyStrips::strip), Column("gid", &NoisyStrips::gid),
+                      Column("charge", &NoisyStrips::charge), Column("time", &NoisyStrips::time));
+  }
 };
 
 NoisyStrips background_strips(const Detector& detector, std::span<const std::int64_t> events,

@@ -7,7 +7,9 @@
 #include <cmath>
 #include <limits>
 #include <span>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "common/lanes/philox.hpp"
 #include "common/rng.hpp"
 #include "detector/strip_plane.hpp"
@@ -27,6 +29,17 @@ struct LayerDrift {
   double cloud_phi, cloud_z;           // rad, mm, width of an avalanche at the anode
   double hole_pitch;                   // mm, of the first foil; 0: electrons keep their position
   double w_value;                      // keV per electron of ionization
+
+  static constexpr auto columns() {
+    return std::tuple(Column("velocity", &LayerDrift::velocity),
+                      Column("tan_lorentz", &LayerDrift::tan_lorentz),
+                      Column("sigma_x", &LayerDrift::sigma_x), Column("sigma_par", &LayerDrift::sigma_par),
+                      Column("sigma_l", &LayerDrift::sigma_l), Column("shift", &LayerDrift::shift),
+                      Column("delay", &LayerDrift::delay), Column("induction", &LayerDrift::induction),
+                      Column("first_phi", &LayerDrift::first_phi), Column("first_z", &LayerDrift::first_z),
+                      Column("cloud_phi", &LayerDrift::cloud_phi), Column("cloud_z", &LayerDrift::cloud_z),
+                      Column("hole_pitch", &LayerDrift::hole_pitch), Column("w_value", &LayerDrift::w_value));
+  }
 };
 
 // Which physics acts, and how strongly.

@@ -6,7 +6,9 @@
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "detector/detector.hpp"
 #include "simulation/digitize/strips.hpp"
 
@@ -22,6 +24,14 @@ struct TruthColumns {
   std::size_t size() const { return event.size(); }
   Point entry_point(std::size_t i) const { return {entry[0][i], entry[1][i], entry[2][i]}; }
   Point exit_point(std::size_t i) const { return {exit[0][i], exit[1][i], exit[2][i]}; }
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &TruthColumns::event), Column("particle", &TruthColumns::particle),
+                      Column("layer", &TruthColumns::layer), Column("entry_", &TruthColumns::entry),
+                      Column("exit_", &TruthColumns::exit), Column("phi", &TruthColumns::phi),
+                      Column("z", &TruthColumns::z), Column("time", &TruthColumns::time),
+                      Column("energy", &TruthColumns::energy));
+  }
 };
 
 // Columns of the steps table. A step is the straight piece from middle - d/2 to middle + d/2.
@@ -36,6 +46,14 @@ struct StepColumns {
   bool is_delta(std::size_t i) const { return parent[i] != 0; }
   Point end(std::size_t i, double side) const {
     return {middle[0][i] + side * d[0][i], middle[1][i] + side * d[1][i], middle[2][i] + side * d[2][i]};
+  }
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &StepColumns::event), Column("truth", &StepColumns::truth),
+                      Column("particle", &StepColumns::particle), Column("layer", &StepColumns::layer),
+                      Column("n_electrons", &StepColumns::n_electrons),
+                      Column("parent", &StepColumns::parent), Column("", &StepColumns::middle),
+                      Column("d", &StepColumns::d), Column("energy", &StepColumns::energy));
   }
 };
 
