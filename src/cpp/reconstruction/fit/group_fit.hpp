@@ -239,7 +239,7 @@ class GroupFit {
       now.given = now.given & !measured_;
       measured_ = measured_ | (who & !now.given);
     } else if (std::abs(detector_.bz) < MatterMomentum<T>::weak_field) {
-      const T last = last_radius(), w = curvature(detector_.bz, helix_.kappa);
+      const T last = last_radius(&Slot<T>::there), w = curvature(detector_.bz, helix_.kappa);
       now.given = !(0.125 * abs(w) * last * last > least_sagitta);
     }
     matter_.given = (now.given & who) | (matter_.given & !who);
@@ -256,14 +256,14 @@ class GroupFit {
     return helix;
   }
 
-  // Radius of the outermost hit.
-  T last_radius() const {
+  // Radius of the outermost hit, of those that a flag of the slots selects.
+  T last_radius(mask_of<T> Slot<T>::* flag) const {
     T last(0.0);
     for (const Slot<T>& slot : group_.slots) {
       const T radius = slot.view == View::wire
                            ? sqrt(slot.wire.x * slot.wire.x + slot.wire.y * slot.wire.y)
                            : T(detector_.layers[static_cast<std::size_t>(slot.layer)].r_mid());
-      last = larger(last, select(slot.there, radius, T(0.0)));
+      last = larger(last, select(slot.*flag, radius, T(0.0)));
     }
     return last;
   }
@@ -289,13 +289,7 @@ class GroupFit {
   // parabola through evenly spaced hits, from an eighth of the way on.
   void take_mean_field() {
     if (is_straight(detector_.bz)) return;
-    T last(0.0);
-    for (const Slot<T>& slot : group_.slots) {
-      const T radius = slot.view == View::wire
-                           ? sqrt(slot.wire.x * slot.wire.x + slot.wire.y * slot.wire.y)
-                           : T(detector_.layers[static_cast<std::size_t>(slot.layer)].r_mid());
-      last = larger(last, select(slot.met, radius, T(0.0)));
-    }
+    const T last = last_radius(&Slot<T>::met);
     const HelixPointOf<T> origin = closest_point(helix_, curvature(detector_.bz, 1.0));
     HelixPointOf<T> end = origin;
     T arc(0.0);
