@@ -20,7 +20,7 @@ from cgemit.particles.table import particles_from
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, FitStatus
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, FitStatus, is_fitted
 from cgemit.truth.match import compare
 
 Rows = npt.NDArray[np.int64]
@@ -379,7 +379,7 @@ class Outcome:
     @property
     def efficiency(self) -> float:
         """Share of the tracks with enough hits that are fitted, with those whose momentum the hits do not constrain."""
-        settled = np.isin(self.tracks["status"][self.enough], (FitStatus.ok, FitStatus.unconstrained))
+        settled = is_fitted(self.tracks)[self.enough]
         return int(np.count_nonzero(settled)) / max(len(settled), 1)
 
     @property

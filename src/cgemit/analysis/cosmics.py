@@ -14,7 +14,7 @@ from cgemit.base.arrays import Floats
 from cgemit.chain.result import Result
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
-from cgemit.tables.schema import FitStatus
+from cgemit.tables.schema import FitStatus, is_fitted
 from cgemit.tables.show import Shown, Tabular, with_error
 
 #: Parameters of the same muon flown backward: signs of dr, phi0, kappa, dz, tanl; phi0 also turns by pi.
@@ -144,8 +144,7 @@ def cosmics(given: Result | Table) -> Cosmics:
 
 def _halves(tracks: Table) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Return the rows of the upward and the downward track of the events that have one of each and no other."""
-    fitted = np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
-    return halves(tracks["event"], tracks["phi0"], fitted & np.isfinite(tracks["cov"]).all(axis=(1, 2)))
+    return halves(tracks["event"], tracks["phi0"], is_fitted(tracks) & np.isfinite(tracks["cov"]).all(axis=(1, 2)))
 
 
 def halves(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from cgemit.analysis.quantities import NAMES, QUANTITIES, Columns, Quantity, quantity_of, true_charge
 from cgemit.analysis.widths import HEAD, Resolution, measure, stacked
 from cgemit.base.arrays import Floats
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, report
 from cgemit.base.validate import InTurn
 from cgemit.chain.result import Result, TrackColumns, track_columns, tracks_of
 from cgemit.particles.species import species
@@ -498,8 +498,7 @@ def fit_form(
     """
     x, y = np.asarray(p, np.float64), np.asarray(sigma, np.float64)
     weight = y if error is None else np.asarray(error, np.float64)
-    if problems := _problems(quantity, x, y, weight):
-        raise ValueError("fit_form:\n  " + "\n  ".join(problems))
+    report("fit_form", _problems(quantity, x, y, weight))
     form = FORMS[quantity]
     used = np.isfinite(y) & (y > 0) & np.isfinite(weight) & (weight > 0)
     if len(np.unique(x[used])) < FEWEST_POINTS:

@@ -151,6 +151,11 @@ class Problems(list[Problem]):
             raise kind(source, list(dict.fromkeys(self)))
 
 
+def report(source: str, texts: Iterable[str]) -> None:
+    """Raise an error with one line for each text about a problem, if there are any."""
+    Problems(Problem("", text, "") for text in texts).report(source)
+
+
 def refuse(source: str, path: str, given: str, expected: str, hint: str = "") -> NoReturn:
     """Raise the error of a single problem."""
     raise ProblemsError(source, [Problem(path, given, expected, hint)])

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from cgemit import helix
 from cgemit.base.arrays import Floats
+from cgemit.base.errors import report
 from cgemit.base.files import check_regular, package
 from cgemit.detector import Detector, load
 from cgemit.helix import wrap_angle
@@ -561,8 +562,7 @@ def _check(found: Mapping[str, Columns], detector: Detector, errors: tuple[float
             )
     if len(errors) != 2 or not all(0 < error < np.inf for error in errors):
         problems.append(f"errors: got {errors}; expected two positive numbers, X and V in mm")
-    if problems:
-        raise ValueError("events of the BESIII software:\n  " + "\n  ".join(problems))
+    report("events of the BESIII software", problems)
 
 
 def _cluster_columns(detector: Detector, given: Columns | None, errors: tuple[float, float]) -> Columns | None:

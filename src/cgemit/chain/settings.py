@@ -85,9 +85,7 @@ def fit_settings(settings: Settings, source: Source | Guns | None = None) -> Fit
 
 
 def find_settings(settings: Settings, source: Source | Guns | None = None, given: Table | None = None) -> FindSettings:
-    """Return the settings of the finder; a momentum of None becomes that of the fit, or the gun's.
-
-    A hypothesis of None becomes the particle that is shot or given, if there is one kind only.
+    """Return the settings of the finder; a hypothesis of None becomes the particle that is shot, if of one kind.
 
     Parameters
     ----------
@@ -99,9 +97,7 @@ def find_settings(settings: Settings, source: Source | Guns | None = None, given
     """
     find, kind = settings.find, only_kind(source, given)
     own = hypothesis_name(kind) if kind is not None and kind in KNOWN else None
-    return replace(
-        find, momentum=find.momentum or fit_settings(settings, source).momentum, hypothesis=find.hypothesis or own
-    )
+    return replace(find, hypothesis=find.hypothesis or own)
 
 
 def register_readout(

@@ -10,6 +10,7 @@ from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from cgemit.base.errors import report
 from cgemit.detector.detector import Detector, load
 from cgemit.tables.check import Channels, table_problems
 
@@ -72,8 +73,7 @@ def checked(*names: str, ignore: Collection[str] = ()) -> Callable[[Callable[P, 
                 given["detector"] = detector = load(given["detector"])
                 channels = channels_of(detector)
             problems = table_problems(channels, ignore, **tables)
-            if problems:
-                raise ValueError(f"{function.__name__}:\n  " + "\n  ".join(problems))
+            report(f"{function.__name__}", problems)
             return function(*bound.args, **bound.kwargs)
 
         cast(Any, refusing).unchecked = function

@@ -22,7 +22,7 @@ from cgemit.particles.species import species
 from cgemit.reconstruction.fit import fit
 from cgemit.reconstruction.states import StateStatus, Surface
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus
+from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, is_fitted
 from cgemit.truth.assign import residuals
 
 if TYPE_CHECKING:
@@ -299,7 +299,7 @@ def _states(part: Result) -> States:
 def _paths(part: Result, tracks: Table, states: States, r: float, z: float) -> list[Path]:
     """Return the fitted tracks through their states; as the helix at the origin where there are none."""
     found = []
-    fitted = np.isin(tracks["status"], (FitStatus.ok, FitStatus.unconstrained))
+    fitted = is_fitted(tracks)
     for row in np.flatnonzero(fitted & np.isfinite(tracks["kappa"])):
         helix = np.array([tracks[name][row] for name in PARAMETERS])
         mine = states["track"] == row

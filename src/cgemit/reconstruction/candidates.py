@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, report
 from cgemit.detector import Detector, compiled
 from cgemit.detector.channels import checked
 from cgemit.particles.species import HYPOTHESES
@@ -98,8 +98,7 @@ def collect_hits(
         "candidates": candidates, "candidate_hits": candidate_hits, "clusters": clusters, "wire_hits": wire_hits
     }  # fmt: skip
     problems = kind_problems(**tables) or _repeated_points(candidate_hits, clusters)
-    if problems:
-        raise ValueError("hits of candidates:\n  " + "\n  ".join(problems))
+    report("hits of candidates", problems)
     columns = {
         name: {column: table[column] for column in _READ[name] if column in table} for name, table in tables.items()
     }
@@ -175,8 +174,7 @@ def label_candidates(
     """
     labels = [np.asarray(label) for label in (cluster_label, wire_label)]
     problems = _label_problems(clusters, wire_hits, labels[0], labels[1], hypothesis)
-    if problems:
-        raise ValueError("label_candidates:\n  " + "\n  ".join(problems))
+    report("label_candidates", problems)
     of_cluster, of_wire = (label.astype(np.int64) for label in labels)
     of_cluster = _without_repeats(clusters, of_cluster)
     rows = [np.flatnonzero(label >= 0) for label in (of_cluster, of_wire)]
@@ -307,6 +305,5 @@ def check_found(found: object, finder: str, clusters: Table) -> dict[str, Table]
         for name, table in tables.items()
         if not table.covers_as(clusters)
     ]
-    if problems:
-        raise ValueError(f"finder {finder}:\n  " + "\n  ".join(problems))
+    report(f"finder {finder}", problems)
     return {name: table.with_meta(finder=finder) for name, table in tables.items()}

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.base.arrays import Floats
-from cgemit.base.errors import Problems
+from cgemit.base.errors import Problems, report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import SCREENINGS, Detector, Screening, load, slabs
@@ -22,7 +22,7 @@ from cgemit.particles.species import HYPOTHESES, Hypothesis
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.states import USUAL_MOMENTUM, SurfaceName, state_columns
 from cgemit.tables import Table
-from cgemit.tables.schema import FitStatus
+from cgemit.tables.schema import FitStatus, is_fitted
 
 MassHypothesis = Literal[Hypothesis, "all"]
 ClusterErrors = Literal["track", "cluster"]
@@ -190,9 +190,7 @@ def start_radii(candidates: Table, settings: FitSettings) -> Floats:
         return np.full(len(candidates), settings.start_radius)
     radii = np.asarray(candidates[BEGIN], np.float64)
     wrong = np.flatnonzero(~np.isfinite(radii))
-    if len(wrong):
-        lines = [f"candidates row {row}: {BEGIN}: got {radii[row]}, expected a radius in mm" for row in wrong]
-        raise ValueError("fit:\n  " + "\n  ".join(lines))
+    report("fit", (f"candidates row {row}: {BEGIN}: got {radii[row]}, expected a radius in mm" for row in wrong))
     return radii
 
 
@@ -266,7 +264,7 @@ def fit(
     if settings.residuals:
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
     if settings.states:
-        settled = np.isin(out["status"], (FitStatus.ok, FitStatus.unconstrained))
+        settled = is_fitted(tables["tracks"])
         columns = state_columns(detector, core, settings.states, tables["tracks"], mass, radii, hits, out, settled)
         tables["states"] = Table("states", columns, **about)
     return tables

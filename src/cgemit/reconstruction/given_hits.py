@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, report
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.layers.layer import crossing_z, local_v
 from cgemit.detector.parts import cgem_numbers
@@ -409,9 +409,7 @@ _MOST_LISTED = 10
 
 def _raise(problems: list[str], unlisted: int = 0) -> None:
     more = max(len(problems) - _MOST_LISTED, 0) + unlisted
-    if problems:
-        lines = problems[:_MOST_LISTED] + ([f"and {more} more"] if more else [])
-        raise ValueError("fit_hits:\n  " + "\n  ".join(lines))
+    report("fit_hits", problems[:_MOST_LISTED] + ([f"and {more} more"] if more else []))
 
 
 def _cluster_columns(detector: Detector, given: Columns, settings: ClusterSettings, problems: list[str]) -> Columns:

@@ -29,7 +29,7 @@ from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.reconstruction.fit import displaced
 from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_WIRE
+from cgemit.tables.schema import HIT_WIRE, is_fitted
 from cgemit.units import LIGHT
 
 Rows = npt.NDArray[np.signedinteger[Any]]
@@ -558,7 +558,7 @@ class _Fits(NamedTuple):
         predicted = side * wires["drift"][hit] - residual
         certain = np.abs(predicted) > CERTAIN * wires["sigma"][hit]
         slope = np.where(certain, side * relations.velocity_at(wires["layer"][hit], np.abs(predicted)), 0.0)
-        good = np.isin(tracks["status"], (_core.common.FitStatus.ok, _core.common.FitStatus.unconstrained))
+        good = is_fitted(tracks)
         return cls(
             at=at, gradient=np.bincount(track, slope * residual / err**2, len(tracks)).astype(np.float64),
             info=np.where(good, np.bincount(track, (slope / err) ** 2, len(tracks)), 0.0),

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from cgemit import _core, helix
 from cgemit.base.arrays import Floats
+from cgemit.base.errors import report
 from cgemit.base.validate import number
 from cgemit.detector import SCREENINGS, Detector, load, slabs
 from cgemit.fit_matter import tuned
@@ -154,8 +155,7 @@ def extrapolate(
     [900. 900. 900. 900. 900.]
     """
     problems = _start_problems(table, radius, particle, screening, loss, momentum)
-    if problems:
-        raise ValueError("extrapolate:\n  " + "\n  ".join(problems))
+    report("extrapolate", problems)
     detector, of_state, n = load(detector), table.kind == "states", len(table)
     pivot = np.stack([table[f"pivot_{axis}"] if of_state else np.zeros(len(table)) for axis in "xyz"], axis=1)
     parameters = np.stack([table[name] for name in helix.PARAMETERS], axis=1)

@@ -10,8 +10,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from cgemit import _core, helix
+from cgemit import helix
 from cgemit.base.arrays import Floats
+from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
 from cgemit.detector import Detector, compiled, load
@@ -19,6 +20,7 @@ from cgemit.detector.channels import checked
 from cgemit.detector.parts import extent
 from cgemit.particles.species import HYPOTHESES, Species
 from cgemit.tables import Table
+from cgemit.tables.schema import FitStatus, is_fitted
 
 
 @checked("candidates", "tracks", "vertices")
@@ -158,8 +160,8 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
     if pairs is None:
         several = known and len(np.unique(tracks["hypothesis"])) > 1 and _several(tracks)
         pairs = pair_tracks.unchecked(tracks, particles if several else None)
-        unknown = int(np.count_nonzero(tracks["status"] == _core.common.FitStatus.unconstrained))
-        if unknown and not np.any(tracks["status"] == _core.common.FitStatus.ok):
+        unknown = int(np.count_nonzero(tracks["status"] == FitStatus.unconstrained))
+        if unknown and not np.any(tracks["status"] == FitStatus.ok):
             problems.append(
                 f"pairs: none given, and the curvature of no track measures its charge ({unknown} tracks of status "
                 "unconstrained); expected the rows of pairs"
@@ -182,8 +184,7 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
         ):
             if wrong.any():
                 problems.append(f"pairs: row {np.argmax(wrong)}: got {text}, expected two tracks of one event")
-    if problems:
-        raise ValueError("fit_vertices:\n  " + "\n  ".join(problems))
+    report("fit_vertices", problems)
     return given.astype(np.intp)
 
 
@@ -372,7 +373,7 @@ def fit_vertices(
     rows = rows[np.argsort(tracks["event"][rows[:, 0]], kind="stable")]
     kinds = [HYPOTHESES[name] for name in particles]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)[rows]
-    fitted = np.isin(tracks["status"], (_core.common.FitStatus.ok, _core.common.FitStatus.unconstrained))
+    fitted = is_fitted(tracks)
     good = np.all(fitted[rows], axis=1) & np.isfinite(parameters).all(axis=(1, 2))
     good &= np.isfinite(tracks["cov"][rows]).all(axis=(1, 2, 3))
     impact = tracks["cov"][rows][..., [[0], [3]], [0, 3]]  # which has an inverse
@@ -386,7 +387,7 @@ def fit_vertices(
     columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in found.items()}
     for name, value in found.items():
         columns[name][good] = np.where((status == 0).reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
-    unknown = np.any((tracks["status"] == _core.common.FitStatus.unconstrained)[rows], axis=1)
+    unknown = np.any((tracks["status"] == FitStatus.unconstrained)[rows], axis=1)
     for name in _OF_MOMENTA:
         columns[name][unknown] = np.nan
     ends = {"status": np.full(len(rows), int(VertexStatus.no_track)), "iterations": np.zeros(len(rows), np.int64)}

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.arrays import Floats
-from cgemit.base.errors import Problems, did_you_mean
+from cgemit.base.errors import Problems, did_you_mean, report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
@@ -527,5 +527,4 @@ def _check(detector: Detector, tables: Mapping[str, Table]) -> None:
 
 
 def _raise(problems: list[str]) -> None:
-    if problems:
-        raise ValueError("mix_events:\n  " + "\n  ".join(problems))
+    report("mix_events", problems)

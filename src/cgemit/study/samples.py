@@ -13,6 +13,7 @@ import numpy as np
 from cgemit.analysis.clusters import ClusterResiduals, DeltaFractions, cluster_residuals, delta_fractions
 from cgemit.analysis.resolutions import Pulls, pulls
 from cgemit.analysis.widths import FEWEST
+from cgemit.base.errors import report
 from cgemit.base.validate import InTurn
 from cgemit.chain import run
 from cgemit.chain.record import gun_data, record
@@ -193,8 +194,7 @@ def gun_arguments(momenta: Any, pt: Any, particle: str | int, cos_theta: Any, th
         problems.append(f"{name}: got {values!r:.60}, expected a list of at least one")
     if cos_theta is not None and theta is not None:
         problems.append("cos_theta, theta: got both, expected one of them")
-    if problems:
-        raise ValueError("scan:\n  " + "\n  ".join(problems))
+    report("scan", problems)
     if cos_theta is None and theta is None:
         cos_theta = (-0.93, 0.93)
     return {

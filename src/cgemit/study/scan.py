@@ -540,12 +540,19 @@ class Scan(ScanBase):
         lines = [f"at {_momenta(few)} GeV/c: {why_unfitted(few)}"] if few else []
         for about, count in (
             ("over 5 % of the tracks are not fitted; the widths of the others may be too small", _failed),
-            ("over 5 % of the tracks do not measure their momentum (unconstrained)", _unconstrained),
+            (_WEAK, _unconstrained),
         ):
             lost = [s for s in self.samples if count(s) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
             if lost:
                 lines.append(f"at {_momenta(lost)} GeV/c: {about}")
         return "\n".join(lines)
+
+
+#: Resolutions leave these tracks out of the momentum alone.
+_WEAK = (
+    "over 5 % of the tracks do not measure their momentum (unconstrained); "
+    "the momentum widths of the others may be too small"
+)
 
 
 def _failed(sample: Sample) -> int:

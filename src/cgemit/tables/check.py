@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.arrays import Flags
+from cgemit.base.errors import report
 from cgemit.tables.schema import FITTED, NEEDED_LINKS, SCHEMAS, Array, Column, range_of
 from cgemit.tables.table import Table, kind_problems, targets
 
@@ -83,8 +84,7 @@ def refuse_wrong(function: str, /, ignore: Collection[str] = (), **tables: objec
         If something is.
     """
     problems = table_problems(None, ignore, **tables)
-    if problems:
-        raise ValueError(f"{function}:\n  " + "\n  ".join(problems))
+    report(f"{function}", problems)
 
 
 def _problems(table: Table, tables: dict[str, Table], channels: Channels | None, ignore: Collection[str]) -> list[str]:

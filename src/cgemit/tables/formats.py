@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, report
 from cgemit.base.files import MissingPackageError, check_regular, check_unpacked, new_file, package, read_npz
 from cgemit.base.version import __version__
 from cgemit.tables.schema import Array, Rows, schema_of
@@ -271,8 +271,7 @@ def _check_numbers(table: Rows, form: str) -> None:
         for name, column in table.columns.items()
         if column.dtype.kind not in "iuf" or (column.dtype.kind == "f" and column.dtype.itemsize not in (4, 8))
     ]
-    if wrong:
-        raise ValueError(f"{table.kind}:\n  " + "\n  ".join(wrong))
+    report(table.kind, wrong)
 
 
 _MOST_COLUMNS = 100_000  # of a file of plain columns

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.arrays import Flags
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, report
 
 FitStatus = _core.common.FitStatus
 
@@ -99,9 +99,9 @@ def _comparison() -> tuple[Column, ...]:
         column
         for name, unit in PARAMETERS.items()
         for column in (
-            real(f"truth_{name}", unit, f"true {name} of the particle where it started"),
-            real(f"res_{name}", unit, f"fitted minus true {name}; NaN for tracks of other half turns than the first"),
-            real(f"pull_{name}", "", f"res_{name} / err_{name}"),
+            real(f"truth_{name}", unit, f"true {name} of the particle where it started; NaN without one"),
+            real(f"res_{name}", unit, f"fitted minus true {name}; NaN without a particle, and for other half turns"),
+            real(f"pull_{name}", "", f"res_{name} / err_{name}; NaN where res_{name} is"),
         )
     )
 
@@ -221,8 +221,8 @@ STATES = (
         "mm",
         "of a hit: measured minus predicted by the track, fitted with it unless left out; NaN elsewhere",
     ),
-    real("err", "mm", "standard deviation of the residual"),
-    real("pull", "", "residual / err"),
+    real("err", "mm", "standard deviation of the residual; NaN without one"),
+    real("pull", "", "residual / err; NaN without one"),
     column_of("i1", "status", "", "whether there is a state (StateStatus; 0 is good)"),
 )
 
@@ -340,6 +340,7 @@ _DIGIS = (
     whole("n_truths", "number of crossings that contributed"),
 )
 
+_NOT_MEASURED = "NaN if not measured"
 _WIRE_HITS = (
     EVENT,
     _WIRE_LAYER,
@@ -347,12 +348,11 @@ _WIRE_HITS = (
     whole("gid", "wire number in the whole drift chamber"),
     real("drift", "mm", "measured drift distance"),
     real("sigma", "mm", "its standard deviation"),
-    real("drift_time", "ns", "drift time"),
+    real("drift_time", "ns", f"drift time; {_NOT_MEASURED}"),
     column_of("i1", "side", "", "side of the wire, +1 or -1; 0 hidden"),
     link("wire_truth", "the cell crossing it comes from", "wire_truths"),
 )
 
-_NOT_MEASURED = "NaN if not measured"
 _CLUSTERS = (
     EVENT,
     _LAYER,
@@ -361,8 +361,8 @@ _CLUSTERS = (
     whole("first", "first strip; -1 where there is none"),
     whole("last", "last strip; -1 where there is none"),
     whole("size", "number of strips"),
-    real("charge", "fC", "sum of the strips' charges"),
-    real("time", "ns", "arrival time"),
+    real("charge", "fC", f"sum of the strips' charges; {_NOT_MEASURED}"),
+    real("time", "ns", f"arrival time; {_NOT_MEASURED}"),
     real("x", "mm", f"X on the unrolled readout surface; {_NOT_MEASURED}"),
     real("v", "mm", f"V on the unrolled readout surface; {_NOT_MEASURED}"),
     real("phi", "rad", f"azimuth at mid-gap; {_NOT_MEASURED}"),
@@ -482,17 +482,6 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
     }
 )  # fmt: skip
 
-#: Columns that are NaN where there is no number, whatever the status of the row.
-_MAY_BE_NAN = frozenset(
-    {"digis.position", "drift_time", "states.residual", "states.err", "states.pull"}
-    | {"err_start_time", "strip_time", "err_strip_time"}
-    | {"vertices.other_chi2", "vertices.other_distance"}
-    | {f"vertices.{name}" for name in ("px", "py", "pz", "mass", "err_mass")}
-    | {f"{table}.{one.name}" for table in ("clusters", "refined_clusters") for one in _CLUSTERS if "NaN" in one.doc}
-    | {f"{table}.{name}" for table in ("clusters", "refined_clusters") for name in ("charge", "time")}  # of other files
-    | {f"matches.{column.name}" for column in MATCHES}
-)
-
 #: Statuses of the rows whose numbers count, by table; in other tables all rows count.
 FITTED: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
@@ -520,7 +509,7 @@ NEEDED_LINKS = frozenset(
 
 
 def range_of(kind: str, column: Column) -> tuple[float, float, bool]:
-    """Return the least and the largest value of a column, and whether it may be NaN in any row.
+    """Return the least and the largest value of a column, and whether it may be NaN in any row, as its text says.
 
     Parameters
     ----------
@@ -535,7 +524,7 @@ def range_of(kind: str, column: Column) -> tuple[float, float, bool]:
     elif column.dtype.kind == "f":
         largest = _LARGEST.get(column.unit, _LARGEST_OTHER)
         low, high = max(low, -largest), min(high, largest)
-    return low, high, name in _MAY_BE_NAN or column.name in _MAY_BE_NAN
+    return low, high, "NaN" in column.doc
 
 
 #: Further arrays of files.
@@ -646,8 +635,8 @@ def check_columns(
         offsets = _offsets(checked["event"], n_events, first_event, events)
         if offsets is None:
             problems += _event_problems(checked["event"], n_events, first_event, events)
-    if problems or offsets is None:
-        raise ValueError(f"the columns do not make a {kind} table:\n  " + "\n  ".join(problems))
+    report(f"columns of a {kind} table", problems)
+    assert offsets is not None
     return checked, read_only(offsets, np.dtype(np.int64))
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cgemit.base.errors import report
 from cgemit.base.files import add_files, new_file, read_json
 from cgemit.tables.formats import BY_SUFFIX, FORMATS, check_format, describe, load, load_columns, save
 from cgemit.tables.schema import Array, Rows, schema_of
@@ -233,8 +234,7 @@ def select_events(tables: Mapping[str, Table], first: int, stop: int) -> dict[st
         for name, table in tables.items()
         for target in lost_links(table, tables)
     ]
-    if problems:
-        raise ValueError("select_events:\n  " + "\n  ".join(problems))
+    report("select_events", problems)
     before = {name: np.searchsorted(table["event"], [first]) for name, table in tables.items()}
     picked = {name: table.select_events(first, stop) for name, table in tables.items()}
     return {name: table.with_columns(**_moved(table, 0, before, sign=-1)) for name, table in picked.items()}
@@ -367,8 +367,7 @@ class JoinedTables(LazyTables):
             for i, chunk in enumerate(chunks)
             if set(chunk) != set(names)
         ]
-        if problems:
-            raise ValueError("the chunks cannot be joined:\n  " + "\n  ".join(problems))
+        report("the chunks cannot be joined", problems)
         self._meta = dict(meta or {})
         super().__init__(names)
         self._parts = {name: [chunk[name] for chunk in chunks] for name in names}
@@ -480,8 +479,7 @@ class StoredTables(LazyTables):
         """Return the table of a file, if it is the one that the index describes."""
         table = Table(*load(self.folder / file))
         problems = index_problems(file, table, about) if check else []
-        if problems:
-            raise ValueError(f"{self.folder} holds tables of several runs:\n  " + "\n  ".join(problems))
+        report(f"{self.folder} holds tables of several runs", problems)
         return table
 
 

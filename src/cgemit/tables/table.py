@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.errors import did_you_mean
+from cgemit.base.errors import did_you_mean, report
 from cgemit.tables import formats, show
 from cgemit.tables.schema import SCHEMAS, Array, Column, Rows, check_columns, event_range, schema_of
 
@@ -99,8 +99,7 @@ def local_links(table: Rows, tables: Mapping[str, Rows]) -> dict[str, Array]:
         for name in sorted(names & tables.keys())
         if not np.array_equal(tables[name].events, table.events)
     ]
-    if problems:
-        raise ValueError("tables:\n  " + "\n  ".join(problems))
+    report("tables", problems)
     place = np.repeat(np.arange(table.n_events), np.diff(table.offsets))  # of each row's event
     return moved_links(table, lambda name: -tables[name].offsets[place] if name in tables else np.int64(0))
 

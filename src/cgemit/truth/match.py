@@ -14,8 +14,7 @@ from cgemit.base.arrays import Flags, Floats
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_WIRE, HIT_XV, XV_CLUSTER, FitStatus, is_fitted
-from cgemit.tables.table import kind_problems
+from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus, is_fitted
 from cgemit.truth.assign import residuals
 from cgemit.truth.origins import particle_rows
 
@@ -263,14 +262,6 @@ def match(
         "tracks": tracks, "candidates": candidates, "candidate_hits": candidate_hits, "clusters": clusters,
         "wire_hits": wire_hits, "particles": particles, "truths": truths, "wire_truths": wire_truths,
     }  # fmt: skip
-    problems = kind_problems(**tables)
-    problems = problems or (
-        link_problems(clusters, "truth", truths)
-        + link_problems(wire_hits, "wire_truth", wire_truths)
-        + _row_problems(tracks, candidates, candidate_hits, clusters, wire_hits)
-    )
-    if problems:
-        raise ValueError("match:\n  " + "\n  ".join(problems))
     chamber = load(detector)
     counts = _match_hits(tables)
     of_candidate = _counts(chamber, tables, counts)
@@ -381,58 +372,3 @@ def joined(tracks: Table, matches: Table) -> Table:
     tracks, matches : Table
     """
     return tracks.with_columns(**{name: matches[name] for name in matches if name not in ("event", "track")})
-
-
-def link_problems(table: Table, link: str, target: Table) -> list[str]:
-    """Return whether links of a table lead to missing rows or to rows of another event.
-
-    Parameters
-    ----------
-    table : Table
-    link : str
-        Column of `table` that counts rows of `target`.
-    target : Table
-
-    Returns
-    -------
-    list of str
-    """
-    rows, event = table[link], table["event"]
-    first = _core.common.strange_link(rows, event, target["event"])
-    if first < 0:
-        return []
-    if rows.max() >= len(target):
-        return [f"{target.kind}: got {len(target)} rows; expected more, {table.kind} link to row {rows.max()}"]
-    given = f"{table.kind} row {first}, of event {event[first]}, links to one of event {target['event'][rows[first]]}"
-    return [f"{target.kind}: {given}; expected the rows that {table.kind} were made from"]
-
-
-def _row_problems(
-    tracks: Table, candidates: Table, candidate_hits: Table, clusters: Table, wire_hits: Table
-) -> list[str]:
-    """Say which tracks and hits count rows that are not there."""
-    view, row = candidate_hits["view"], candidate_hits["row"]
-    n, limits = len(candidates), [len(clusters)] * (HIT_XV + 1)
-    limits[HIT_WIRE] = len(wire_hits)
-    of_candidates = (table["candidate"] for table in (tracks, candidate_hits))
-    if (
-        all(_core.common.outside(numbers, [n]) < 0 for numbers in of_candidates)
-        and _core.common.outside(row, limits, view) < 0
-    ):
-        return []
-    of_wire = view == HIT_WIRE
-    checks = [
-        ("tracks", "candidate", tracks["candidate"], n, "rows of candidates", True),
-        ("candidate_hits", "candidate", candidate_hits["candidate"], n, "rows of candidates", True),
-        ("candidate_hits", "view", view, HIT_XV + 1, "views", True),
-        ("candidate_hits", "row", row, len(clusters), "rows of clusters", ~of_wire),
-        ("candidate_hits", "row", row, len(wire_hits), "rows of wire_hits", of_wire),
-    ]
-    problems = []
-    for table, name, values, limit, of, where in checks:
-        wrong = np.flatnonzero(((values < 0) | (values >= limit)) & where)
-        if len(wrong):
-            problems.append(
-                f"{table} row {wrong[0]}: {name}: got {values[wrong[0]]}, expected 0 to {limit} (excluded), {of}"
-            )
-    return problems

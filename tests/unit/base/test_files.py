@@ -158,7 +158,7 @@ def test_tables_of_several_runs_are_refused(tmp_path):
     for seed in (1, 2):
         run("besiii-cgem-design", GUN, 5, seed=seed).save(tmp_path / str(seed))
     (tmp_path / "2" / "tracks.npz").replace(tmp_path / "1" / "tracks.npz")
-    with pytest.raises(ValueError, match=r"several runs:\n  tracks.npz: seed: got 2, expected 1, as tables.json says"):
+    with pytest.raises(ValueError, match=r"several runs: 1 problem\n  tracks.npz: seed: got 2, expected 1, as "):
         load_tables(tmp_path / "1")
     with pytest.raises(ValueError, match=r"tracks.npz: seed: got 2"):
         Result.load(tmp_path / "1")

@@ -433,7 +433,7 @@ def test_a_track_without_covariance_fails_alone(cov):
     tracks, pairs = result.fitted, 3
     wrong = tracks["cov"].copy()
     wrong[2] = cov
-    with pytest.raises(ValueError, match=r"fit_vertices:\n  tracks row 2: cov: got .*, expected"):
+    with pytest.raises(ValueError, match=r"fit_vertices: 1 problem\n  tracks row 2: cov: got .*, expected"):
         cg.fit_vertices(result.detector, tracks.with_columns(cov=wrong))
     status = [0, 0, cg.FitStatus.not_positive_definite, 0, 0, 0]
     rows = np.arange(2 * pairs).reshape(-1, 2)

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Positive
 from cgemit.detector import Detector, WireLayer, load
@@ -299,7 +300,7 @@ def find_tracks(
     """
     detector, settings, fit = load(detector), FindSettings.of(settings), FitSettings.of(fit, "fit")
     if not clusters.covers_as(wire_hits):
-        raise ValueError("find_tracks:\n  wire_hits: cover other events than the clusters; expected the same")
+        report("find_tracks", ["wire_hits: cover other events than the clusters; expected the same"])
     event, view, hits, points, number = _measurements(clusters, wire_hits, by_size=fit.cluster_errors == "track")
     order = np.argsort(event, kind="stable")
     place = np.empty_like(order)

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.arrays import Floats
+from cgemit.base.errors import report
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
@@ -54,8 +55,7 @@ def link_loops(tracks: Table, bz: float) -> Rows:
     problems = table_problems(tracks=tracks)
     if not np.isfinite(bz):
         problems.append(f"bz: got {bz}, expected a field in T")
-    if problems:
-        raise ValueError("link_loops:\n  " + "\n  ".join(problems))
+    report("link_loops", problems)
     first = np.arange(len(tracks))
     if bz == 0:
         return first
