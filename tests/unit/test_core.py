@@ -19,6 +19,7 @@ from cgemit.detector import compiled
 from cgemit.particles.species import compiled_decays
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster_errors import chip_delays, expected_errors
+from cgemit.reconstruction.find.ckf import seedless
 from cgemit.truth.origins import particle_rows
 
 DESIGN = "besiii-cgem-design"
@@ -47,6 +48,10 @@ def calls() -> dict[str, list[Call]]:
         cg.slab("Kapton 300 um", "pi-", p=0.5, n=1000)
         cg.extrapolate(DESIGN, result.tracks, 100.0)
         particle_rows(result.particles, result.truths)
+        truth = result.particles, result.truths, result.wire_truths
+        fitted = result.fitted, result.candidates, result.candidate_hits, result.clusters, result.wire_hits
+        cg.match(*fitted, *truth, detector=detector)
+        seedless(cg.load("kloe2-like"))
         cg.helix.change_pivot(
             np.array([[0.0, 1.0, 1.0, 0.0, 0.1]]), np.eye(5)[None], np.zeros((1, 3)), np.ones((1, 3)), 1.0
         )

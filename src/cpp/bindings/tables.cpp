@@ -64,19 +64,6 @@ std::int64_t strange_link(const Array<std::int64_t>& links, const Array<std::int
   return -1;
 }
 
-// First row whose number is not below the limit of its kind, or is negative; -1 if there is none.
-std::int64_t outside(const Array<std::int64_t>& numbers, const std::vector<std::int64_t>& limits,
-                     const std::optional<Array<std::int8_t>>& kinds) {
-  const auto number = column(numbers, "numbers");
-  const auto kind = kinds ? column(*kinds, "kinds", numbers.size()) : std::span<const std::int8_t>();
-  for (std::size_t row = 0; row < number.size(); ++row) {
-    const auto of = kinds ? static_cast<std::size_t>(kind[row]) : 0;
-    if (of >= limits.size() || number[row] < 0 || number[row] >= limits[of])
-      return static_cast<std::int64_t>(row);
-  }
-  return -1;
-}
-
 py::array_t<std::int64_t> rows_of_particles(const py::dict& particles, const py::dict& crossings) {
   Inputs of_particles(particles, "particles"), of_crossings(crossings, "crossings");
   return to_numpy(particle_rows(of_particles.read<NumberedRows>(), of_crossings.read<NumberedRows>()));
@@ -101,8 +88,6 @@ void bind_tables(py::module_& module) {
       "Where the rows of each event begin, and their number; None unless events increase in the range.");
   module.def("strange_link", &strange_link, py::arg("links"), py::arg("event"), py::arg("target"),
              "First row that links to a row of another event, or to none of the target; -1 none.");
-  module.def("outside", &outside, py::arg("numbers"), py::arg("limits"), py::arg("kinds") = py::none(),
-             "First row whose number is not from 0 to the limit of its kind, excluded; -1 none.");
   module.def("particle_rows", &rows_of_particles, py::arg("particles"), py::arg("crossings"),
              "Row of the particle behind each crossing; -1 none.");
 }

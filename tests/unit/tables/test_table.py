@@ -80,11 +80,6 @@ def test_checks_of_columns_agree_with_numpy():
         links = draws.integers(-2, 5, 3)
         strange = [row for row, to in enumerate(links) if to >= 0 and (to >= 4 or target[to] != mine[row])]
         assert _core.common.strange_link(links, mine, target) == (strange[0] if strange else -1)
-
-        numbers, kinds, limits = draws.integers(-1, 4, 5), draws.integers(0, 3, 5).astype(np.int8), [4, 3]
-        beyond = [row for row in range(5) if kinds[row] > 1 or not 0 <= numbers[row] < limits[kinds[row]]]
-        assert _core.common.outside(numbers, limits, kinds) == (beyond[0] if beyond else -1)
-        assert _core.common.outside(numbers, limits[:1]) == (np.argmin(numbers) if numbers.min() < 0 else -1)
     with pytest.raises(ValueError, match="0 or more"):
         _core.common.event_offsets(np.zeros(1, np.int64), 0, -1)
 
