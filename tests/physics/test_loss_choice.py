@@ -42,7 +42,7 @@ def measured(p: float) -> Measured:
     compact, helix = tuned(detector), np.array([0, 0.4, -1 / p, 0, 0])
     hits = hits_on(detector, helix)
     settings = dataclasses.asdict(FitSettings())
-    chosen = {"errors_from_track": False, "momentum": p, "prior_sigma": settings["prior_sigma"]}
+    chosen = {"errors_from_track": False, "momentum": p, "prior_sigma": settings["prior_sigma"], "beam": (0.0, 0.0)}
     chosen |= {name: settings[name] for name in CORE_SETTINGS}
     out = _core.reconstruction.fit(
         compact, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]), start=helix[None],

@@ -51,7 +51,7 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
         settings={
             "max_iterations": 20, "tolerance": 1e-6, "errors_from_track": False, "least_width": 0.1,
             "delta_strips": 0.0, "kinks": True, "outlier_pull": 0.0, "prior_sigma": settings.prior_sigma,
-            "momentum": 1.0,
+            "momentum": 1.0, "beam": (0.0, 0.0),
         },
         residuals=False,
     )  # fmt: skip

@@ -19,6 +19,7 @@ def covariance(core, hits, helix):
     settings = {
         "max_iterations": 1, "tolerance": 1e9, "errors_from_track": False, "least_width": 0.1, "delta_strips": 0.0,
         "kinks": False, "outlier_pull": 0.0, "momentum": 1.0, "prior_sigma": tuple(FitSettings().prior_sigma),
+        "beam": (0.0, 0.0),
     }  # fmt: skip
     out = _core.reconstruction.fit(
         core, hit_offsets=np.array([0, len(hits["kind"])]), hits=hits, mass=np.array([MUON]),

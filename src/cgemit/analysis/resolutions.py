@@ -268,7 +268,7 @@ def resolution_against(
     bin_of[x == edges[-1]] = len(edges) - 2
     bin_of[~np.isfinite(x) | (x > edges[-1])] = -1
     chosen = [bin_of == i for i in range(len(edges) - 1)]
-    state = {name: columns[name] for name in ("status", "match", "other_mass", "err_dz", "err_tanl")}
+    state = {name: columns[name] for name in ("status", "match", "other_mass", "err_dz", "err_tanl", "p", "p_mode")}
     values = tuple(
         _measure(known, {name: one[rows] for name, one in state.items()}, sample[rows], known.name, unit, window)
         for rows in chosen
@@ -299,7 +299,11 @@ def _measure(
     left_out = counts_left_out(tracks["status"], tracks["match"], fitted)
     removed = _removed(left_out, int(np.count_nonzero(good & ~usable)))
     other = int(np.count_nonzero(usable & (tracks["other_mass"] > 0)))
-    return measure(values[usable], parameter=parameter, unit=unit, window=window, removed=removed, other_mass=other)
+    electrons = int(np.count_nonzero(usable & (tracks["p_mode"] != tracks["p"])))
+    return measure(
+        values[usable], parameter=parameter, unit=unit, window=window, removed=removed, other_mass=other,
+        electrons=electrons,
+    )  # fmt: skip
 
 
 def _edges(x: Floats, bins: int | npt.ArrayLike) -> Floats:

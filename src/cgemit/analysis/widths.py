@@ -52,6 +52,9 @@ class Resolution(Comparable, Tabular):
         Fraction of rows more than 3 core sigmas from the core's mean; 0.0027 for a Gaussian.
     other_mass : int
         Rows used whose fit assumed the mass of another particle.
+    electrons : int
+        Rows used that are electrons or positrons with a density of their own (docs/methods/fit.md): the core is that of
+        tracks without a visible loss, and tails are due to radiation.
 
     Examples
     --------
@@ -80,12 +83,15 @@ class Resolution(Comparable, Tabular):
     tail: float
     tail_error: float
     other_mass: int = 0
+    electrons: int = 0
 
     def cells(self) -> list[str]:
         """Return the printed values, in the order of `HEAD`."""
         pairs = [(self.core, self.core_error), (self.q68, self.q68_error), (self.rms, self.rms_error),
                  (self.core_mean, self.core_mean_error), (100 * self.tail, 100 * self.tail_error)]  # fmt: skip
-        rows = f"{self.n} ({self.other_mass} of another mass)" if self.other_mass else str(self.n)
+        notes = [f"{self.other_mass} of another mass"] if self.other_mass else []
+        notes += [f"{self.electrons} electrons, tails by radiation"] if self.electrons else []
+        rows = f"{self.n} ({'; '.join(notes)})" if notes else str(self.n)
         return [*(with_error(*pair) for pair in pairs), rows, self.removed_text()]
 
     def columns(self) -> dict[str, list[Any]]:
@@ -126,6 +132,7 @@ def measure(
     window: tuple[float, float] | None = None,
     removed: tuple[tuple[str, int], ...] = (),
     other_mass: int = 0,
+    electrons: int = 0,
 ) -> Resolution:
     """Return the widths of a sample.
 
@@ -141,6 +148,8 @@ def measure(
         Rows that were left out before, and why.
     other_mass : int
         Rows whose fit assumed the mass of another particle.
+    electrons : int
+        Rows of electrons with a density of their own.
 
     Raises
     ------
@@ -167,7 +176,7 @@ def measure(
     return Resolution(
         parameter, unit, len(x), tuple(removed), core, core_error, core_mean, core_mean_error,
         q68, q68_error, rms, rms_error, mean, mean_error, (float(low), float(high)), len(x) - len(inside),
-        tail, tail_error, other_mass,
+        tail, tail_error, other_mass, electrons,
     )  # fmt: skip
 
 

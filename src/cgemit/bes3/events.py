@@ -21,7 +21,7 @@ from cgemit.helix import wrap_angle
 from cgemit.particles.species import KNOWN
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.candidates import label_candidates
-from cgemit.reconstruction.fit import displaced
+from cgemit.reconstruction.fit import displaced, momentum_limits
 from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.schema import HIT_WIRE, HIT_X, XV_CLUSTER, FitStatus
@@ -620,9 +620,14 @@ def _track_table(given: Columns | None, named: Mapping[str, Table], detector: De
         "err_p": helix.momentum_error(fitted, cov),
         "displaced": displaced(fitted[:, 0], error[:, 0], detector),
     }
+    columns |= momentum_limits(np.asarray(columns["p"]), np.asarray(columns["err_p"]))
     columns["status"] = np.where(given["ok"], FitStatus.ok, FitStatus.not_converged)
     return Table(
-        "tracks", columns | dict.fromkeys(("n_outliers", "iterations"), np.zeros(len(candidate), np.int64)), **cover
+        "tracks",
+        columns
+        | dict.fromkeys(("n_outliers", "iterations"), np.zeros(len(candidate), np.int64))
+        | dict.fromkeys(("radiated", "radius_radiated"), np.zeros(len(candidate))),
+        **cover,
     )
 
 

@@ -110,6 +110,7 @@ class Result:
     fitted = _Stored("tracks")
     residuals = _Stored()
     states = _Stored()
+    components = _Stored()
     start_times = _Stored()
     strip_times = _Stored()
     matches = _Stored()

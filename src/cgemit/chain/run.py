@@ -252,6 +252,7 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     particles : Table of kind "particles"
     """
     settings = job.settings
+    fit = replace(fit_settings(settings, job.source), components=True)  # for `quantile_p`
     made: Tables = transport(job.detector, particles, settings.simulate, job.seed)
     yield "simulate", made
     particles, truths, wire_truths = made["particles"], made["truths"], made["wire_truths"]
@@ -270,14 +271,15 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     again = settings.refine.find_again and job.finder != "truth"
     found: Tables = {}
     refined = refinements_of(settings, job.fit_detector)
-    for step, tables in turns(
-        job.fit_detector, hits, finder, fit_settings(settings, job.source), refined, find_again=again
-    ):
+    for step, tables in turns(job.fit_detector, hits, finder, fit, refined, find_again=again):
         found |= tables
-        yield step, tables
+        yield step, {name: table for name, table in tables.items() if name != "components" or settings.fit.components}
     tracks, candidates = found["tracks"], (found["candidates"], found["candidate_hits"])
     of_truth = (particles, truths, wire_truths)
-    yield "match", match.unchecked(tracks, *candidates, clusters, wire_hits, *of_truth, detector=job.detector)
+    matches = match.unchecked(
+        tracks, *candidates, clusters, wire_hits, *of_truth, detector=job.detector, components=found["components"]
+    )
+    yield "match", matches
 
 
 def finder_of_run(job: Job, truths: Truths) -> Finder:

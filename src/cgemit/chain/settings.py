@@ -31,7 +31,7 @@ STAGES = ("simulate", "digitize", "cluster", "find", "fit")  # where a run can e
 TABLES = (
     *("particles", "events", "decays", "truths", "steps", "wire_truths", "digis", "wire_hits", "clusters"),
     *("candidates", "candidate_hits", "searches", "refined_clusters", "refined_wire_hits"),
-    *("tracks", "residuals", "states", "start_times", "strip_times", "matches"),
+    *("tracks", "residuals", "states", "components", "start_times", "strip_times", "matches"),
 )
 
 #: Tables of every run, wherever it ends.
@@ -170,6 +170,7 @@ def tables_made(until: str, settings: Settings, detector: Detector) -> tuple[str
         optional = {
             "residuals": settings.fit.residuals,
             "states": bool(settings.fit.states),
+            "components": settings.fit.components,
             "start_times": fitted_time,
             "refined_wire_hits": fitted_time or refine.drift_times == "raw",
             "refined_clusters": _follows_tracks(detector),

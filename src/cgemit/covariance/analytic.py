@@ -266,6 +266,8 @@ def tracks_at(
     fit : FitSettings
     threads : int or None
     """
+    if fit.beam is not None:
+        raise ValueError(f"fit.beam: got {fit.beam}, expected None: expected resolutions do without the beam spot")
     hits = expected_hits(detector, digitize, fit)
     number = points.samples or (_SAMPLES if hits.vary or points.vary else 1)
     sample = sample_of(points, number, len(detector.layers))

@@ -18,7 +18,7 @@ from cgemit.base.validate import Check, Positive
 from cgemit.detector import SCREENINGS, Detector, Screening, load, slabs
 from cgemit.detector.channels import checked
 from cgemit.fit_matter import tuned, with_hits_of
-from cgemit.particles.species import HYPOTHESES, Hypothesis
+from cgemit.particles.species import HYPOTHESES, Hypothesis, species
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.states import USUAL_MOMENTUM, SurfaceName, state_columns
 from cgemit.tables import Table
@@ -71,6 +71,9 @@ class FitSettings(SettingsData):
         Whether the fit makes the residuals table: every hit against the track fitted without it.
     states : tuple of float or str
         Surfaces of the states table (docs/methods/states.md). Empty: no such table.
+    components : bool
+        Whether the fit makes the components table: the density of the momentum of electrons and positrons, a sum of
+        normal distributions (docs/methods/fit.md).
     hypothesis : str, tuple of str or None
         Particles whose masses the fit assumes; every candidate gets a track for each. None: the candidate's own mass
         and charge.
@@ -91,6 +94,9 @@ class FitSettings(SettingsData):
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior. That of kappa
         grows in fields below 0.1 T, so that it stays far above the error of the curvature (docs/methods/fit.md).
+    beam : (float, float) or None
+        Standard deviations of dr and dz, mm, of particles from a beam spot at the origin: measurements of tracks that
+        come from there. None: the beam spot is no measurement.
     momentum : float or None
         GeV/c, with which tracks scatter and lose energy whose curvature does not measure their momentum
         (docs/methods/fit.md). None: that of the gun in `run`, else 1 GeV/c.
@@ -117,6 +123,7 @@ class FitSettings(SettingsData):
     start_radius: Start = 0.0
     residuals: bool = False
     states: tuple[Radius | SurfaceName, ...] = ()
+    components: bool = False
     hypothesis: MassHypothesis | tuple[MassHypothesis, ...] | None = None
     max_iterations: Iterations = 15
     tolerance: Positive = 0.1
@@ -125,6 +132,7 @@ class FitSettings(SettingsData):
     kinks: bool = True
     outlier_pull: Pull = 5.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
+    beam: tuple[Spread, Spread] | None = None
     momentum: Positive | None = None
 
     def contradictions(self, problems: Problems) -> None:
@@ -134,6 +142,8 @@ class FitSettings(SettingsData):
             problems.note("hypothesis", repr(given), "'all' alone")
         elif isinstance(given, tuple) and len(set(map(str, given))) < len(given):
             problems.note("hypothesis", repr(given), "each name once")
+        if self.beam is not None and self.states:
+            problems.note("beam", repr(self.beam), "None with states, which do without the beam spot")
 
     def prior_in(self, detector: Detector) -> tuple[float, ...]:
         """Return the prior's standard deviations in the field of a detector, as `prior_sigma`."""
@@ -153,6 +163,7 @@ Column = npt.NDArray[Any]
 #: Fields that the core's settings have, too.
 CORE_SETTINGS = ("max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull")
 
+_LIGHT = 2 * species("e-").mass  # as the core tells electrons apart
 _KAPPA = helix.PARAMETERS.index("kappa")
 #: T. The prior of kappa is that of the settings above this field; below, it is constant in curvature.
 _FIELD_OF_PRIOR = 0.1
@@ -176,6 +187,60 @@ def displaced(dr: Floats, err_dr: Floats, detector: Detector) -> npt.NDArray[np.
     """
     inner = slabs(detector)[0].shells[0].r_in
     return np.asarray(np.abs(dr) > np.maximum(FAR * err_dr, SHARE * inner), np.int8)
+
+
+#: Limits of normal distributions with the central 68 and 95 %, in standard deviations.
+NORMAL_68, NORMAL_95 = 0.9944578832, 1.9599639845
+
+
+def momentum_limits(p: Floats, err_p: Floats) -> dict[str, Floats]:
+    """Return mode and limits of momenta whose inverse is normal: columns p_mode, p_low, p_high, p_low95, p_high95.
+
+    The upper limit is infinite where the inverse may be 0.
+
+    Parameters
+    ----------
+    p, err_p : ndarray, (n,) float64, GeV/c
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = err_p / p
+        limits = {"p_mode": np.array(p)}
+        for name, sigmas in (("", NORMAL_68), ("95", NORMAL_95)):
+            limits[f"p_low{name}"] = p / (1 + sigmas * error)
+            limits[f"p_high{name}"] = np.where(sigmas * error < 1, p / (1 - sigmas * error), np.inf + 0 * error)
+    return limits
+
+
+def added_error(tracks: Table, before: Floats) -> Floats:
+    """Return the relative error of momenta that an error was added by, in quadrature, (n,) float64.
+
+    Parameters
+    ----------
+    tracks : Table
+    before : ndarray, (n,) float64, GeV/c
+        Errors without it.
+    """
+    added = np.sqrt(np.maximum(tracks["err_p"] ** 2 - before**2, 0)) / tracks["p"]
+    return np.where(np.isfinite(added), added, 0.0)
+
+
+def with_wider_momenta(tracks: Table, err_p: Floats) -> Table:
+    """Return tracks with larger errors of the momentum, and limits as much farther from the mode, in quadrature.
+
+    Parameters
+    ----------
+    tracks : Table
+    err_p : ndarray, (n,) float64, GeV/c
+    """
+    before, tracks = tracks["err_p"], tracks.with_columns(err_p=err_p)
+    limits, added = momentum_limits(tracks["p"], err_p), added_error(tracks, before)
+    own = tracks["p_mode"] != tracks["p"]
+    for name in list(limits):
+        sigmas = 0.0 if name == "p_mode" else NORMAL_95 if name.endswith("95") else NORMAL_68
+        change = np.log(tracks[name] / tracks["p_mode"])
+        wider = tracks["p_mode"] * np.exp(np.copysign(np.hypot(change, sigmas * added), change))
+        limits[name] = np.where(own, wider, limits[name])
+    return tracks.with_columns(**limits)
 
 
 def start_radii(candidates: Table, settings: FitSettings) -> Floats:
@@ -229,9 +294,9 @@ def fit(
     Returns
     -------
     dict of str to Table
-        ``tracks``, one row per candidate and mass hypothesis, with ``settings.residuals`` also ``residuals``, and with
-        ``settings.states`` also ``states``. Rows whose `status` is not ok hold the last helix tried, and NaN where
-        there is no helix, covariance or chi-square.
+        ``tracks``, one row per candidate and mass hypothesis, with ``settings.residuals`` also ``residuals``, with
+        ``settings.states`` also ``states``, and with ``settings.components`` also ``components``. Rows whose `status`
+        is not ok hold the last helix tried, and NaN where there is no helix, covariance or chi-square.
 
     Raises
     ------
@@ -263,6 +328,8 @@ def fit(
     tables = {"tracks": Table("tracks", columns, **about)}
     if settings.residuals:
         tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
+    if settings.components:
+        tables["components"] = Table("components", _component_columns(out, event), **about)
     if settings.states:
         settled = is_fitted(tables["tracks"])
         columns = state_columns(detector, core, settings.states, tables["tracks"], mass, radii, hits, out, settled)
@@ -404,10 +471,12 @@ def core_arguments(
         | {
             "errors_from_track": settings.cluster_errors == "track",
             "prior_sigma": settings.prior_in(detector),
+            "beam": settings.beam or (0.0, 0.0),
             "momentum": settings.momentum or USUAL_MOMENTUM,
         },
         "residuals": settings.residuals,
         "states": bool(settings.states),
+        "densities": settings.components and bool(np.any(mass < _LIGHT)),
     }
 
 
@@ -439,7 +508,25 @@ def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column, char
     columns["chi2"] = np.where(known, out["chi2"], np.nan)
     error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
-    return columns | {"err_p": helix.momentum_error(fitted, cov, charge)}
+    columns["err_p"] = helix.momentum_error(fitted, cov, charge)
+    limits = momentum_limits(np.asarray(columns["p"]), np.asarray(columns["err_p"]))
+    own = np.asarray(out["limits"], np.float64)
+    has_density = known & own.any(axis=1)
+    for i, (name, normal) in enumerate(limits.items()):
+        limits[name] = np.where(has_density, columns["p"] * np.exp(own[:, i]), normal)
+    return columns | limits | {name: out[name] for name in ("radiated", "radius_radiated")}
+
+
+def _component_columns(out: Out, event: Column) -> Columns:
+    """Return the columns of the components table; `event` of each track."""
+    if "density_weight" not in out:
+        return {"event": event[:0], **dict.fromkeys(("track", "weight", "change", "spread"), np.empty(0))}
+    weight = np.asarray(out["density_weight"], np.float64)
+    track, number = np.nonzero((weight > 0) & has_cov(out["status"])[:, None])
+    columns: Columns = {"event": event[track], "track": track, "weight": weight[track, number]}
+    return columns | {
+        "change": out["density_mean"][track, number], "spread": out["density_sigma"][track, number],
+    }  # fmt: skip
 
 
 def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:

@@ -26,7 +26,7 @@ from cgemit.detector.layers.layer import local_v
 from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
-from cgemit.reconstruction.fit import displaced
+from cgemit.reconstruction.fit import added_error, displaced, with_wider_momenta
 from cgemit.reconstruction.states import USUAL_MOMENTUM
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_WIRE, is_fitted
@@ -446,13 +446,18 @@ class StartTime(Refinement):
         """Return the table ``start_times``, and the tracks with its errors in their covariance."""
         candidates, tracks = tables["candidates"], tables["tracks"]
         event = np.searchsorted(candidates.events, candidates["event"])
-        tracks = _with_time_error(tracks, self._slope, self._error[event])
+        before, tracks = tracks["err_p"], _with_time_error(tracks, self._slope, self._error[event])
         tracks = tracks.with_columns(displaced=displaced(tracks["dr"], tracks["err_dr"], detector))
         columns = {
             "event": candidates.events, "start_time": self._time, "err_start_time": self._error,
             "n_tracks": self._counted, "status": self._status,
         }  # fmt: skip
-        return {"tracks": tracks, "start_times": Table("start_times", columns, **candidates.cover)}
+        made = {"tracks": tracks, "start_times": Table("start_times", columns, **candidates.cover)}
+        if "components" in tables:
+            parts = tables["components"]
+            wider = np.hypot(parts["spread"], added_error(tracks, before)[parts["track"]])
+            made["components"] = parts.with_columns(spread=wider)
+        return made
 
     def _shifted(self, hits: Hits, error: float = 0.0, shift: float = 0.0) -> Hits:
         """Return hits with drift times counted from the present start times; `error`: of these times, ns."""
@@ -604,7 +609,8 @@ def _with_time_error(tracks: Table, slope: Floats, error: Floats) -> Table:
     err = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     fitted = np.column_stack([tracks[name] for name in helix.PARAMETERS])
     columns = {f"err_{name}": err[:, i] for i, name in enumerate(helix.PARAMETERS)}
-    return tracks.with_columns(cov=cov, err_p=helix.momentum_error(fitted, cov, tracks["charge"]), **columns)
+    columns["err_p"] = helix.momentum_error(fitted, cov, tracks["charge"])
+    return with_wider_momenta(tracks, columns["err_p"]).with_columns(cov=cov, **columns)
 
 
 def refinements(settings: RefineSettings) -> list[Refinement]:

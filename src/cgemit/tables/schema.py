@@ -142,6 +142,22 @@ TRACKS = (
     column_of("i1", "status", "", "how the fit ended (FitStatus; 0 is good)"),
     *(real(f"err_{name}", unit, f"standard deviation of {name}") for name, unit in PARAMETERS.items()),
     column_of("i1", "displaced", "", "1 if the track misses the beam line: the fit may correct for matter not crossed"),
+    real("p_mode", "GeV/c", "most probable momentum"),
+    *(
+        real(f"p_{end}{name}", "GeV/c", f"{end}er limit of the central {share} % of the density of the momentum")
+        for name, share in (("", 68), ("95", 95))
+        for end in ("low", "high")
+    ),
+    real("radiated", "", "probability that the hits show a break by radiation, of electrons and positrons; else 0"),
+    real("radius_radiated", "mm", "where this break is most probable; 0 if `radiated` is"),
+)
+
+COMPONENTS = (
+    EVENT,
+    link("track", "the electron or positron", "tracks"),
+    real("weight", "", "probability of the component; those of a track sum to 1"),
+    real("change", "", "mean of ln(p of the particle/p of the track)"),
+    real("spread", "", "standard deviation of this logarithm"),
 )
 
 MATCHES = (
@@ -163,6 +179,11 @@ MATCHES = (
     ),
     column_of("i1", "decayed", "", "1 if the particle decayed in flight, 0 if not; -1 without a particle"),
     column_of("i1", "other_mass", "", "1 if the fit assumed another particle, 0 if this one; -1 without a particle"),
+    real(
+        "quantile_p",
+        "",
+        "probability by the fit that the momentum is below the true one; NaN also for electrons without components",
+    ),
     *_comparison(),
 )
 
@@ -428,6 +449,7 @@ _KINDS = (
     ("matches", MATCHES, "one track and its particle"),
     ("residuals", RESIDUALS, "one hit of a fitted track"),
     ("states", STATES, "one track at one surface"),
+    ("components", COMPONENTS, "one normal distribution of the density of an electron's momentum"),
     ("start_times", START_TIMES, "one event and its start time, fitted from its tracks"),
     ("strip_times", STRIP_TIMES, "one event and when it began in the times of its strips"),
     ("vertices", VERTICES, "one pair of tracks and their vertex"),
@@ -466,6 +488,9 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         **dict.fromkeys(("clusters.first", "clusters.last", "refined_clusters.first"), (-1, _ENDLESS)),
         **dict.fromkeys(("refined_clusters.last",), (-1, _ENDLESS)),
         **dict.fromkeys(("wire_hits.gid", "second_pdg"), (0, _ENDLESS)),
+        **dict.fromkeys(("p_low", "p_low95", "p_mode", "p_high", "p_high95"), (0.0, np.inf)),
+        **dict.fromkeys(("radius_radiated", "spread"), (0.0, np.inf)),
+        **dict.fromkeys(("radiated", "components.weight", "quantile_p"), (0, 1)),
         **dict.fromkeys(("displaced", "used", "method", "digis.view", "steps.parent"), (0, 1)),
         **dict.fromkeys(("clusters.view", "refined_clusters.view", "residuals.view"), (0, 2)),
         **dict.fromkeys(("candidate_hits.view", "states.surface"), (0, 3)),

@@ -216,6 +216,7 @@ def match(
     wire_truths: Table,
     *,
     detector: Detector | str | Mapping[str, Any],
+    components: Table | None = None,
 ) -> dict[str, Table]:
     """Find the particle of each track, and compare the track with it.
 
@@ -238,6 +239,8 @@ def match(
         Of the same events; links of `clusters` and `wire_hits` count rows of `truths` and `wire_truths`.
     detector : Detector, or what `load` accepts
         The simulated detector: its field bends the true helix.
+    components : Table or None
+        Densities of the momenta of electrons (``FitSettings(components=True)``), for `quantile_p`.
 
     Returns
     -------
@@ -286,6 +289,7 @@ def match(
     other = tracks["hypothesis"] != np.append(np.abs(particles["pdg"]), 0).take(of)
     columns["other_mass"] = np.where(known, other, -1)
     comparison = compare(tracks, particles, row, compiled(chamber).field)
+    comparison["quantile_p"] = quantiles(tracks, comparison["truth_p"], components)
     other = columns["match"] == MatchStatus.other_half_turn
     for name, values in comparison.items():
         columns[name] = values if name.startswith("truth_") else np.where(other, np.nan, values)
@@ -318,6 +322,41 @@ def compare(tracks: Table, particles: Table, row: Rows, field: _core.detector.Fi
             residual = helix.wrap_angle(residual)
         columns |= {f"truth_{name}": true, f"res_{name}": residual, f"pull_{name}": residual / tracks[f"err_{name}"]}
     return columns
+
+
+def quantiles(tracks: Table, truth: Floats, components: Table | None = None) -> Floats:
+    """Return the probability by the fit that momenta are below the true ones, (tracks,) float64.
+
+    Without its components the density of an electron's momentum is not known: NaN. Inverse momenta of other tracks are
+    normal.
+
+    Parameters
+    ----------
+    tracks : Table
+    truth : ndarray, (tracks,) float64, GeV/c
+    components : Table or None
+        Of these tracks.
+    """
+    p = tracks["p"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below = _normal_below((1 - p / truth) * p / tracks["err_p"])
+        change = np.log(truth / p)
+    below = np.where(tracks["p_mode"] == p, below, np.nan)
+    if components is not None and len(components):
+        track = components["track"]
+        parts = components["weight"] * _normal_below((change[track] - components["change"]) / components["spread"])
+        rows = np.unique(track)
+        below[rows] = np.bincount(track, parts, len(tracks))[rows].clip(0, 1)
+    return np.asarray(below, np.float64)
+
+
+def _normal_below(z: Floats) -> Floats:
+    """Return the probability of a standard normal number below z, to 1e-7 (Abramowitz and Stegun, 26.2.17)."""
+    a = np.abs(z)
+    t = 1 / (1 + 0.2316419 * a)
+    series = t * (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))))
+    tail = np.exp(-0.5 * a * a) * series / np.sqrt(2 * np.pi)
+    return np.asarray(np.where(z > 0, 1 - tail, np.where(np.isnan(z), np.nan, tail)), np.float64)
 
 
 def is_matched(tracks: Any) -> Flags:

@@ -28,6 +28,7 @@ FitSettings fit_settings(const py::dict& values) {
                              .kinks = in["kinks"],
                              .outlier_pull = in["outlier_pull"],
                              .prior_sigma = in["prior_sigma"],
+                             .beam = in["beam"],
                              .momentum = in["momentum"]};
   in.check();
   if (!(settings.momentum > 0 && settings.momentum < HUGE_VAL))
@@ -42,7 +43,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
                  const py::dict& hit_columns, const Array<double>& mass_array,
                  const Array<double>& charge_array, const Array<double>& start_array,
                  const Array<double>& start_radius, const py::dict& setting_values, bool residuals,
-                 bool states) {
+                 bool states, bool densities) {
   const auto offsets = hit_offsets_of(hit_offsets);
   const auto n = offsets.size() - 1;
   const auto n_hits = static_cast<py::ssize_t>(offsets[n]);
@@ -59,16 +60,20 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
   residuals = residuals || states;
   const std::size_t slabs = detector.slabs.size();
   const int free = is_straight(detector.bz) ? 4 : 5;  // parameters that the hits determine
+  const int spot = settings.beam[0] > 0 ? 2 : 0;
   RowColumns<FitRow> of_track(n);
   of_track.add("helix", &FitRow::helix, {5})
       .add("cov", &FitRow::covariance, {5, 5})
       .add("chi2", &FitRow::chi2)
-      .add("ndf", [free](const FitRow& row) { return row.clusters + row.wires - free; })
+      .add("ndf", [free, spot](const FitRow& row) { return row.clusters + row.wires + spot - free; })
       .add("n_clusters", &FitRow::clusters)
       .add("n_wires", &FitRow::wires)
       .add("n_outliers", &FitRow::outliers)
       .add("iterations", &FitRow::iterations)
       .add("status", &FitRow::status)
+      .add("limits", &FitRow::limits, {5})
+      .add("radiated", &FitRow::radiated)
+      .add("radius_radiated", &FitRow::radius_radiated)
       .add("matter_p", &FitRow::matter_p);
   RowColumns<HitRow> of_hit(residuals ? static_cast<std::size_t>(n_hits) : 0);
   of_hit.add("residual", &HitRow::residual)
@@ -81,6 +86,10 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
   measured.add("used_value", &Measured::value).add("used_variance", &Measured::variance);
   RowColumns<KinkRow> kinks(states ? n * slabs : 0);
   kinks.add("kinks", [](const KinkRow& row) { return row; }, {2});
+  RowColumns<DensityRow> density(densities ? n : 0);
+  density.add("density_weight", &DensityRow::weight, {density_components})
+      .add("density_mean", &DensityRow::mean, {density_components})
+      .add("density_sigma", &DensityRow::sigma, {density_components});
   const auto fit = kernels().fit;
   {
     py::gil_scoped_release release;
@@ -90,6 +99,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
     std::vector<LastIteration> last_rows;
     std::vector<Measured> measured_rows;
     std::vector<KinkRow> kink_rows;
+    std::vector<DensityRow> density_rows;
     for (std::size_t begin = 0, tracks = 0; begin < n && !interrupted(); begin += tracks) {
       tracks = begins.alike(begin, std::min(begin + block_of_tracks, n));
       const auto first = static_cast<std::size_t>(offsets[begin]),
@@ -100,6 +110,7 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
       last_rows.resize(states ? tracks : 0);
       measured_rows.resize(states ? count : 0);
       kink_rows.resize(states ? tracks * slabs : 0);
+      density_rows.resize(densities ? tracks : 0);
       const FitInput input{
           offsets.subspan(begin, tracks + 1),
           hits,
@@ -110,18 +121,21 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
           interrupted};
       fit(begins.of(begin), input, settings,
           {track_rows.data(), residuals ? hit_rows.data() : nullptr, states ? last_rows.data() : nullptr,
-           states ? measured_rows.data() : nullptr, states ? kink_rows.data() : nullptr});
+           states ? measured_rows.data() : nullptr, states ? kink_rows.data() : nullptr,
+           densities ? density_rows.data() : nullptr});
       of_track.append(track_rows);
       of_hit.append(hit_rows);
       last.append(last_rows);
       measured.append(measured_rows);
       kinks.append(kink_rows);
+      density.append(density_rows);
     }
   }
   throw_if_interrupted();
   py::dict out;
   of_track.give(out);
   if (residuals) of_hit.give(out);
+  if (densities) density.give(out);
   if (!states) return out;
   last.give(out);
   measured.give(out);
@@ -136,7 +150,9 @@ void bind_fit(py::module_& module) {
   module.def("fit", &run_fit, py::arg("detector"), py::kw_only(), py::arg("hit_offsets"), py::arg("hits"),
              py::arg("mass"), py::arg_v("charge", Array<double>(0), "..."), py::arg("start"),
              py::arg_v("start_radius", Array<double>(0), "..."), py::arg("settings"), py::arg("residuals"),
-             py::arg("states") = false,
+             py::arg("states") = false, py::arg("densities") = false,
              "Fit one track per row of hit_offsets: columns of the tracks and, if requested, of the "
-             "residuals of the hits and of the last iteration, from which states along the tracks are made.");
+             "residuals of the hits and of the last iteration, from which states along the tracks are made, "
+             "and of the densities of the "
+             "momenta of electrons.");
 }

@@ -321,6 +321,7 @@ def test_columns_of_the_compiled_fit_are_checked(result):
         "settings": {
             "max_iterations": 5, "tolerance": 0.1, "errors_from_track": True, "least_width": 0.1, "delta_strips": 0.0,
             "kinks": False, "outlier_pull": 0.0, "momentum": 1.0, "prior_sigma": (200.0, 0.5, 5.0, 1000.0, 2.0),
+            "beam": (0.0, 0.0),
         },
     }  # fmt: skip
 

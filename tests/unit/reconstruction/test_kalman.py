@@ -35,7 +35,7 @@ def settings(**changes):
         "outlier_pull": 0.0,
         "momentum": 1.0,
     }
-    return values | {"prior_sigma": tuple(PRIOR)} | changes
+    return values | {"prior_sigma": tuple(PRIOR), "beam": (0.0, 0.0)} | changes
 
 
 def settled(core, hits, helix):

@@ -138,6 +138,7 @@ def test_unsmeared_hits_fit_perfectly(name, bz, helix):
     settings = {
         "max_iterations": 40, "tolerance": 1e-6, "errors_from_track": False, "least_width": 0.1, "delta_strips": 0.0,
         "kinks": False, "outlier_pull": 0.0, "momentum": 1.0, "prior_sigma": (200.0, 2, 5, 1000, 5),
+        "beam": (0.0, 0.0),
     }  # fmt: skip
     start = helix + np.array([0.5, 0.004, 0.02 * helix[2], 3, 0.01])
     out = _core.reconstruction.fit(tuned(detector), hit_offsets=np.array([0, len(hits["kind"])]), hits=hits,

@@ -22,6 +22,8 @@ from cgemit.study.sweep.space import Changes, own_text, own_value, split_range
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
 OCCUPANCY = "occupancy"
+#: Matter whose radiation the fit of electrons does not see (`Losses.effective`).
+UNSEEN = "unseen_x0"
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Goal:
     text : str
         As it was given, such as ``"dr @ 0.3 GeV/c"``.
     name : str
-        A resolution (of `QUANTITIES`), or a number of `GEOMETRY`, or ``"occupancy"``.
+        A resolution (of `QUANTITIES`), or a number of `GEOMETRY`, ``"occupancy"`` or ``"unseen_x0"``.
     p : float or None, GeV/c
         Of a resolution: at this momentum only; None: the geometric mean of all points.
     """
@@ -53,7 +55,7 @@ class Goal:
         if self.resolution:
             at = "" if self.p is None else f" at {self.p:g} GeV/c"
             return QUANTITIES[self.name].column(end=at)
-        unit = "%" if self.name == OCCUPANCY else GEOMETRY[self.name][0]
+        unit = "%" if self.name in (OCCUPANCY, UNSEEN) else GEOMETRY[self.name][0]
         return f"{self.name} ({unit})" if unit else self.name
 
     @property
@@ -76,7 +78,7 @@ def goal_of(path: str, text: Any, momenta: Sequence[float], problems: Problems) 
         At which resolutions are computed.
     problems : Problems
     """
-    known = (*QUANTITIES, *GEOMETRY, OCCUPANCY)
+    known = (*QUANTITIES, *GEOMETRY, OCCUPANCY, UNSEEN)
     if not isinstance(text, str):
         problems.note(path, repr(text), f"one of {', '.join(known)}")
         return None
@@ -125,7 +127,8 @@ class Goals:
         """Return all that values depend on, beside the detector, as JSON."""
         found: dict[str, Any] = {"goals": [[one.name, one.p] for one in self.goals]}
         found["background"] = asdict(self.background) if self.background else None
-        return found | ({"evaluation": self.evaluation.described()} if self.quantities else {})
+        tracks = self.quantities or any(one.name == UNSEEN for one in self.goals)
+        return found | ({"evaluation": self.evaluation.described()} if tracks else {})
 
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return values, errors and the values without each of `GROUPS` groups of tracks, by header.
@@ -165,6 +168,9 @@ class Goals:
         if goal.name == OCCUPANCY:
             assert self.background is not None  # checked when the goals are made
             return occupancy(detector, self.background)
+        if goal.name == UNSEEN:
+            found = [one.losses().effective.sum(axis=1) for one in covariances(detector, self.evaluation)]
+            return float(100 * np.mean(found))
         _, whole, real = GEOMETRY[goal.name]
         return (real if smooth else whole)(detector)
 

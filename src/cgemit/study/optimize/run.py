@@ -19,8 +19,10 @@ from cgemit.chain.executor import Workers, pool_of
 from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
 from cgemit.detector.inventory import Background
+from cgemit.particles.species import species
 from cgemit.study.optimize.goals import (
     OCCUPANCY,
+    UNSEEN,
     Goal,
     Goals,
     Limit,
@@ -192,6 +194,11 @@ def _checked(
         problems.note("background", repr(background), "rate and more of Background")
     if background is None and any(one.name == OCCUPANCY for one in goals):
         problems.note("background", "none", "the rate of hits that occupancy needs")
+    if evaluation and not evaluation.function and any(one.name == UNSEEN for one in goals):
+        if abs(species(evaluation.particle).pdg) != 11:
+            problems.note("evaluate.particle", repr(evaluation.particle), "'e-' or 'e+', whose losses unseen_x0 counts")
+        if any(isinstance(one, tuple) for one in evaluation.cos_theta):
+            problems.note("evaluate.cos_theta", repr(evaluation.cos_theta), "fixed angles for unseen_x0")
     if not base.layers:
         problems.note("base", "a detector without CGEM layers", "at least one")
     chosen: Any = search.method if search else None

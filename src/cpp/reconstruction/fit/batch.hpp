@@ -69,6 +69,7 @@ class BatchFit {
   struct Scratch {
     FitRow row;
     LastIteration last;
+    DensityRow density;
     std::vector<HitRow> hits;
     std::vector<Measured> measured;
     std::vector<KinkRow> kinks;
@@ -76,7 +77,9 @@ class BatchFit {
     FitLane rows(std::size_t n, std::size_t slabs, const FitOutput& wanted) {
       row = {};
       hits.assign(n, HitRow{});
-      FitLane to{&row, wanted.hits != nullptr ? hits.data() : nullptr, nullptr, nullptr, nullptr};
+      density = {};
+      FitLane to{&row,    wanted.hits != nullptr ? hits.data() : nullptr,  nullptr, nullptr,
+                 nullptr, wanted.densities != nullptr ? &density : nullptr};
       if (wanted.last == nullptr) return to;
       measured.assign(n, Measured{});
       kinks.assign(slabs, KinkRow{});
@@ -228,6 +231,7 @@ class BatchFit {
   // Clears the rows of the hits; the row of the track holds its status.
   void clear(std::size_t track) const {
     if (out_.hits != nullptr) std::fill_n(out_.hits + input_.first(track), input_.count(track), HitRow{});
+    if (out_.densities != nullptr) out_.densities[track] = {};
     if (out_.last == nullptr) return;
     out_.last[track] = {};
     std::fill_n(out_.measured + input_.first(track), input_.count(track), Measured{});
@@ -241,10 +245,12 @@ class BatchFit {
   bool is_first(std::size_t track) const { return out_.rows[track].status == FitStatus::seed_failed; }
   FitLane rows_of(std::size_t track) const {
     const std::size_t first = input_.first(track);
-    return {out_.rows + track, out_.hits == nullptr ? nullptr : out_.hits + first,
+    return {out_.rows + track,
+            out_.hits == nullptr ? nullptr : out_.hits + first,
             out_.last == nullptr ? nullptr : out_.last + track,
             out_.measured == nullptr ? nullptr : out_.measured + first,
-            out_.kinks == nullptr ? nullptr : out_.kinks + track * slabs()};
+            out_.kinks == nullptr ? nullptr : out_.kinks + track * slabs(),
+            out_.densities == nullptr ? nullptr : out_.densities + track};
   }
   void keep_better(std::size_t track, const FitLane& found) const {
     const FitLane to = rows_of(track);
@@ -252,6 +258,7 @@ class BatchFit {
     *to.rows = *found.rows;
     const std::size_t n = input_.count(track);
     if (to.hits != nullptr) std::copy_n(found.hits, n, to.hits);
+    if (to.densities != nullptr) *to.densities = *found.densities;
     if (to.last == nullptr) return;
     *to.last = *found.last;
     std::copy_n(found.measured, n, to.measured);

@@ -27,7 +27,9 @@ struct FitSettings {
   bool kinks;              // whether the reference of a slow track gets kinks from its hits
   double outlier_pull;     // a hit with a larger pull to the rest of the track is left out; 0: no outliers
   std::array<double, 5> prior_sigma;  // of d, psi, kappa, z0, tanl: the weak prior of the filter
-  double momentum;                    // GeV/c, assumed in matter where the curvature does not measure it
+  std::array<double, 2>
+      beam;         // mm, of d and z0 of particles from the origin; 0: the beam spot is no measurement
+  double momentum;  // GeV/c, assumed in matter where the curvature does not measure it
 };
 
 // Tracks to fit, one after the other. Hits of a track are ordered outward; `side` per hit: +1 or -1 known, 0
@@ -54,6 +56,11 @@ struct FitRow {
   double chi2;
   std::int32_t clusters, wires, iterations, outliers;
   FitStatus status;
+  // Of electrons and positrons, of ln(p/p_fit): mode, limits of 68 and of 95 %; all 0: normal with the error
+  // of p.
+  std::array<double, 5> limits;
+  double radiated,
+      radius_radiated;  // probability of a loss that the hits show; mm, where it is most probable
   double matter_p;  // GeV/c at the origin, with which the track scatters and loses energy; 0: that of kappa
 };
 
@@ -63,6 +70,16 @@ struct HitRow {
   double error;       // mm, of that difference; 0: the track does not cross the surface
   std::int8_t side;   // wires: the side of the larger weight; clusters: 0
   std::uint8_t used;  // 0: an outlier, not used
+};
+
+// Bins of losses in the density of the momentum of electrons: components without a visible loss, and with one
+// in each bin, with or without others.
+inline constexpr int density_bins = 10, density_components = 2 * density_bins + 1;
+
+// The density of ln(p/p_fit): a sum of normal distributions. Unused components have weight 0; if all have,
+// the density is normal with the error of p.
+struct DensityRow {
+  std::array<double, density_components> weight, mean, sigma;
 };
 
 // State of the last iteration, for states along the track; (d, psi, kappa, z0, tanl).
@@ -75,14 +92,15 @@ struct Measured {
   double value, variance;  // mm, mm^2; variance 0: the track does not cross the surface
 };
 
-// The output rows. `hits` may be null. `last`, `measured` and `kinks` (one per slab of the detector for each
-// track) are given together, or are all null.
+// The output rows. `hits` and `densities` (one per track) may be null. `last`, `measured` and `kinks` (one
+// per slab of the detector for each track) are given together, or are all null.
 struct FitOutput {
   FitRow* rows;
   HitRow* hits;
   LastIteration* last;
   Measured* measured;
   KinkRow* kinks;
+  DensityRow* densities;
 };
 
 // The scalar code without SIMD lanes.

@@ -6,6 +6,7 @@
 #include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
 #include "kalman/tracer.hpp"
+#include "reconstruction/fit/breaks.hpp"
 #include "reconstruction/fit/first_guess.hpp"
 #include "reconstruction/fit/lane_rows.hpp"
 #include "reconstruction/fit/measured.hpp"
@@ -17,7 +18,11 @@ template <class T>
 class GroupFit {
  public:
   GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group, Interrupted interrupted)
-      : detector_(detector), settings_(settings), group_(group), interrupted_(interrupted) {}
+      : detector_(detector),
+        settings_(settings),
+        group_(group),
+        interrupted_(interrupted),
+        breaks_(detector) {}
 
   // Fits from `start`; `spread` (mm) is the distance of most hits from it. `wires_first`: the unknown sides
   // are determined from the wires alone before the clusters join. `kinks`: slow tracks get kinks.
@@ -34,7 +39,7 @@ class GroupFit {
     wires_only_ = wires_first & open_;
     kinks_ = kinks;
     chi2_ = T(0.0);
-    near_ = mask_of<T>(false);
+    near_ = weighed_ = mask_of<T>(false);
     was_rough_ = false;
     active_ = mask_of<T>(false);
     for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
@@ -48,6 +53,9 @@ class GroupFit {
       if (iteration_ % iterations_per_check == iterations_per_check - 1 && interrupted_()) return;
       iterate(prior);
     }
+    if (!any(weighed_)) return;
+    breaks_.weigh(species_.projectile == Projectile::electron);
+    write_density(lanes_, breaks_, weighed_);
   }
 
   // Whether slow tracks may have kinks at all.
@@ -129,10 +137,11 @@ class GroupFit {
   // Computes the state at the origin and the next reference.
   void filter_inward(Iteration& now, const Five<T>& prior) {
     reference_.prior = beginning(prior);
+    reference_.helix = select<T>(now.kept, reference_.helix, helix_);
     now.state = filter(detector_, group_, reference_.prior);
+    constrain(now.state);
     now.works = now.works & !finish(now.works & !(positive_definite(now.state.c) & sound(now.state)),
                                     FitStatus::not_positive_definite);
-    reference_.helix = select<T>(now.kept, reference_.helix, helix_);
     if (any(group_.kinked)) reference_.kinks = group_.kinks;
     moved_ = select<T>(now.kept, moved_, Five<T>::zero());
     const Five<T> step = now.state.x - moved_;
@@ -142,6 +151,23 @@ class GroupFit {
       variance_[i] = select(now.works, now.state.c(i, i), variance_[i]);
     });
     move(step, now.works);
+  }
+
+  // Takes the beam spot as the innermost measurements, if it is given. Residuals of hits do without it.
+  void constrain(FilteredState<T>& state) {
+    const PerigeeOf<T>& from = reference_.helix;
+    for (std::size_t i = 0; i < 2 && settings_.beam[i] > 0; ++i) {
+      Slot<T>& slot = beam_[i];
+      slot.used = mask_of<T>(true);
+      slot.row = Five<T>::zero();
+      slot.row[i == 0 ? 0 : 3] = 1.0;
+      slot.variance = settings_.beam[i] * settings_.beam[i];
+      slot.residual = i == 0 ? -from.d : -from.z0;
+      update(state, slot);
+    }
+  }
+  std::span<const Slot<T>> beam() const {
+    return std::span(beam_).first(settings_.beam[0] > 0 ? (settings_.beam[1] > 0 ? 2 : 1) : 0);
   }
 
   // Whether a helix is so close to the reference that a new reference would give the same fit: rows are exact
@@ -173,9 +199,21 @@ class GroupFit {
     smooth(group_, now.works);
     if (any(open_ & now.works)) now.settled = now.settled & renew_sides(group_, now.works, iteration_ == 0);
     if (settings_.outlier_pull > 0)
-      now.settled =
-          now.settled & renew_outliers(group_, now.judged, settings_.outlier_pull, iteration_ < last_return);
+      now.settled = now.settled & renew_outliers(group_, now.judged & !is_broken(now.judged),
+                                                 settings_.outlier_pull, iteration_ < last_return);
   }
+
+  // Lanes of `who` in which a break by radiation explains more than leaving out the worst hit would.
+  mask_of<T> is_broken(mask_of<T> who) {
+    if (!has_density()) return mask_of<T>(false);
+    const T worst = worst_pull(group_);
+    who = who & (worst > settings_.outlier_pull * settings_.outlier_pull);
+    if (!any(who)) return who;
+    breaks_.look(group_, beam(), helix_, charge_sec() / abs(helix_.kappa));
+    return who & (breaks_.best() > worst);
+  }
+
+  bool has_density() const { return Breaks<T>::apply(detector_, species_.projectile); }
 
   // Decides which lanes have converged; the others continue from the new reference.
   void decide(Iteration& now) {
@@ -376,8 +414,22 @@ class GroupFit {
     helix_.psi = helix_.psi - turns * (2 * pi);
   }
 
+  // Keeps what the density of the momentum of electrons needs. Where it is not measured, matter acts with a
+  // given one.
+  void weigh_losses(mask_of<T> who, const FilteredState<T>& state) {
+    const T per_kappa = 1.0 / helix_.kappa, slope = helix_.tanl / (1.0 + helix_.tanl * helix_.tanl);
+    const T variance = state.c(2, 2) * per_kappa * per_kappa - 2.0 * slope * state.c(2, 4) * per_kappa +
+                       slope * slope * state.c(4, 4);
+    who = who & !matter_.given & (variance < most_error * most_error);
+    if (!any(who)) return;
+    breaks_.look(group_, beam(), helix_, charge_sec() * abs(per_kappa));
+    breaks_.keep(who, variance, helix_.tanl);
+    weighed_ = weighed_ | who;
+  }
+
   void store(mask_of<T> who, const FilteredState<T>& state, FitStatus status) {
     if (!any(who)) return;
+    if (has_density()) weigh_losses(who, state);
     for (std::size_t k = 0; k < lanes_.size(); ++k) {
       const int i = static_cast<int>(k);
       if (!lane(who, i)) continue;
@@ -394,6 +446,9 @@ class GroupFit {
   const FitSettings& settings_;
   Group<T>& group_;
   Interrupted interrupted_;
+  Breaks<T> breaks_;
+  mask_of<T> weighed_;           // lanes whose density is made at the end
+  std::array<Slot<T>, 2> beam_;  // the beam spot as measurements of d and z0
   SpeciesOf<T> species_;
   PerigeeOf<T> helix_;            // linearisation point of the next iteration
   MatterMomentum<T> matter_;      // of the last trace

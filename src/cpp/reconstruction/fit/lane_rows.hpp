@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "kalman/filter.hpp"
+#include "reconstruction/fit/breaks.hpp"
 #include "reconstruction/fit/fit.hpp"
 
 namespace cgemit {
@@ -41,6 +42,28 @@ void write_state(FitRow& row, const FilteredState<T>& state, int i, FitStatus st
   row.status = status;
   row.chi2 = lane(state.chi2, i);
   write_covariance(state.c, i, row.covariance);
+}
+
+template <class T>
+void write_density(std::span<const FitLane> lanes, const Breaks<T>& breaks, mask_of<T> who) {
+  const std::array<T, 5> limits = breaks.limits();
+  const MomentumDensity<T>& density = breaks.density();
+  for (std::size_t k = 0; k < lanes.size(); ++k) {
+    const int i = static_cast<int>(k);
+    if (!lane(who, i)) continue;
+    FitRow& row = *lanes[k].rows;
+    for (std::size_t n = 0; n < limits.size(); ++n) row.limits[n] = lane(limits[n], i);
+    row.radiated = lane(breaks.seen(), i);
+    row.radius_radiated = lane(breaks.radius(), i);
+    if (lanes[k].densities == nullptr) continue;
+    DensityRow& to = *lanes[k].densities;
+    to = {};
+    for (std::size_t n = 0; n < density.n; ++n) {
+      to.weight[n] = lane(density.weight[n], i);
+      to.mean[n] = lane(density.mean[n], i);
+      to.sigma[n] = lane(density.sigma[n], i);
+    }
+  }
 }
 
 // Counts the hits of each track. One that the track does not meet is left out, too.

@@ -10,14 +10,23 @@ T squared_pull(const Slot<T>& slot) {
   return slot.unbiased * slot.unbiased / slot.unbiased_variance;
 }
 
+// The largest squared pull of a hit that is used.
+template <class T>
+T worst_pull(const Group<T>& group) {
+  T worst(0.0);
+  for (const Slot<T>& slot : group.slots)
+    worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));
+  return worst;
+}
+
 // Leaves out the hits with large pulls to the rest of the track, the worst first, and takes back those whose
 // pull is small again. True where nothing changed.
 template <class T>
 mask_of<T> renew_outliers(Group<T>& group, mask_of<T> who, double most_pull, bool may_return) {
-  T worst(0.0), left(0.0);
+  T left(0.0);
+  const T worst = worst_pull(group);
   mask_of<T> some(false);
   for (const Slot<T>& slot : group.slots) {
-    worst = larger(worst, select(slot.used, squared_pull(slot), T(0.0)));
     left += select(slot.used, T(1.0), T(0.0));
     some = some | slot.outlier;
   }

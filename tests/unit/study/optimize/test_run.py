@@ -93,6 +93,19 @@ def test_numbers_of_a_design_by_hand() -> None:
     assert inventory.pt_threshold(DESIGN) == pytest.approx(0.299792458 * 1.0 * 166.34 / 2, rel=1e-4)
 
 
+def test_unseen_matter_of_electrons() -> None:
+    """The goal is the mean of what `Covariance.losses` has; a muon has none."""
+    evaluation = Evaluation(particle="e-", p=[0.3, 1.0], cos_theta=[0.0, 0.7])
+    goal = goal_of("minimize", "unseen_x0", evaluation.p, Problems())
+    assert goal is not None
+    found = Goals((goal,), evaluation, None)(DESIGN)["values"]["unseen_x0 (%)"]
+    at = [cg.analytic(DESIGN, "e-", p=[0.3, 1.0], cos_theta=c).losses().effective.sum() for c in (0.0, 0.7)]
+    assert found == pytest.approx(100 * sum(at) / 4)
+    space = {"cgem.L1.pitch_x": ("400 um", "800 um")}
+    with pytest.raises(PlanError, match=r"evaluate.particle: got 'mu-', expected 'e-' or 'e[+]'"):
+        optimize(DESIGN, space, minimize="unseen_x0", evaluate=Evaluation(p=0.3))
+
+
 def test_occupancy_by_hand() -> None:
     background = Background(rate=10, radius=78.84, power=0, window=1000, strips=3)
     sheets = [2 * math.pi * 8.75 * 53.2 / 845, 2 * math.pi * 13.25 * 69 / 2 / 640, 2 * math.pi * 17.5 * 84.7 / 2 / 845]
