@@ -196,7 +196,7 @@ NORMAL_68, NORMAL_95 = 0.9944578832, 1.9599639845
 def momentum_limits(p: Floats, err_p: Floats) -> dict[str, Floats]:
     """Return mode and limits of momenta whose inverse is normal: columns p_mode, p_low, p_high, p_low95, p_high95.
 
-    The upper limit is infinite where the inverse may be 0.
+    The upper limit is NaN where the inverse may be 0: there is none.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def momentum_limits(p: Floats, err_p: Floats) -> dict[str, Floats]:
         limits = {"p_mode": np.array(p)}
         for name, sigmas in (("", NORMAL_68), ("95", NORMAL_95)):
             limits[f"p_low{name}"] = p / (1 + sigmas * error)
-            limits[f"p_high{name}"] = np.where(sigmas * error < 1, p / (1 - sigmas * error), np.inf + 0 * error)
+            limits[f"p_high{name}"] = np.where(sigmas * error < 1, p / (1 - sigmas * error), np.nan)
     return limits
 
 

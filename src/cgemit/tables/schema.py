@@ -144,9 +144,9 @@ TRACKS = (
     column_of("i1", "displaced", "", "1 if the track misses the beam line: the fit may correct for matter not crossed"),
     real("p_mode", "GeV/c", "most probable momentum"),
     *(
-        real(f"p_{end}{name}", "GeV/c", f"{end}er limit of the central {share} % of the density of the momentum")
+        real(f"p_{end}{name}", "GeV/c", f"{which} limit of the central {share} % of the density of the momentum{none}")
         for name, share in (("", 68), ("95", 95))
-        for end in ("low", "high")
+        for end, which, none in (("low", "lower", ""), ("high", "upper", "; NaN where the inverse may be 0"))
     ),
     real("radiated", "", "probability that the hits show a break by radiation, of electrons and positrons; else 0"),
     real("radius_radiated", "mm", "where this break is most probable; 0 if `radiated` is"),
