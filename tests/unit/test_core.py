@@ -52,6 +52,7 @@ def calls() -> dict[str, list[Call]]:
         fitted = result.fitted, result.candidates, result.candidate_hits, result.clusters, result.wire_hits
         cg.match(*fitted, *truth, detector=detector)
         seedless(cg.load("kloe2-like"))
+        cg.alignment_forecast(DESIGN, [(gun, 10)], cg.AlignmentSettings(free=("cgem.*",)), threads=1)
         cg.helix.change_pivot(
             np.array([[0.0, 1.0, 1.0, 0.0, 0.1]]), np.eye(5)[None], np.zeros((1, 3)), np.ones((1, 3)), 1.0
         )
