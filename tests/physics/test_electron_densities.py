@@ -54,9 +54,9 @@ def is_uniform(quantile: np.ndarray, largest: float) -> None:
     assert kstest(quantile, "uniform").statistic < largest
 
 
-def limits_cover(tracks: Any, p: float, good: np.ndarray, times: float = 1.0) -> None:
-    """Limits of 68 and 95 % hold the truth so often, to 1.5 and 1 % or some times as much."""
-    for name, share, most in (("", 0.68, 0.015 * times), ("95", 0.95, 0.01 * times)):
+def limits_cover(tracks: Any, p: float, good: np.ndarray) -> None:
+    """Limits of 68 and 95 % hold the truth so often, to 1.5 and 1 %."""
+    for name, share, most in (("", 0.68, 0.015), ("95", 0.95, 0.01)):
         inside = ((tracks[f"p_low{name}"] < p) & (p < tracks[f"p_high{name}"]))[good]
         error = np.hypot(fraction_error(inside.mean(), len(inside)), most / 3)
         assert_within(inside.mean(), share, error, 3.0, f"coverage of {share}")
@@ -74,19 +74,31 @@ def largest(detector: str) -> float:
 
 @pytest.mark.parametrize("point", POINTS, ids=str)
 def test_densities_hold_the_truth(point):
-    """Quantiles of the truth are uniform, limits cover it, and a core alone or one a quarter wider does not."""
+    """Quantiles of the truth are uniform, and those of a core alone or of one a quarter wider are not."""
     found = fitted(*point)
     is_uniform(found.tracks["quantile_p"][found.good], largest(point[0]))
-    # In idea-like, tracks with two visible losses are taken for those with one (docs/methods/fit.md).
-    times = 2.0 if point[0] == "idea-like" else 1.0
-    limits_cover(found.tracks, found.p, found.good, times)
     for wrong in (quantiles(found, wider=1.25), quantiles(found, tails=False)):
         with pytest.raises(AssertionError):
             is_uniform(wrong, largest(point[0]))
+
+
+#: Tracks with two visible losses are taken for those with one (docs/methods/fit.md).
+COVERED = [
+    pytest.param(point, marks=pytest.mark.xfail(strict=True, reason="65 and 93 % instead of 68 and 95"))
+    if point[0] == "idea-like" else point
+    for point in POINTS
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("point", COVERED, ids=str)
+def test_limits_cover_the_truth(point):
+    """Limits of 68 and 95 % hold the true momentum so often; those of the core alone do not."""
+    found = fitted(*point)
     core = {f"p_{end}{name}": found.tracks["p"] * (1 + sign * sigmas * found.error)
             for name, sigmas in (("", 1.0), ("95", 1.96)) for end, sign in (("low", -1), ("high", 1))}  # fmt: skip
     with pytest.raises(AssertionError, match="standard errors"):
-        limits_cover(core, found.p, found.good, times)
+        limits_cover(core, found.p, found.good)
+    limits_cover(found.tracks, found.p, found.good)
 
 
 @pytest.mark.parametrize("point", POINTS, ids=str)
