@@ -104,26 +104,32 @@ def draw_modes(found: Alignment | AlignmentForecast, number: int = 4) -> Picture
             size = "not determined" if not np.isfinite(modes.sizes[i]) else f"{1e3 * modes.sizes[i]:.3g} um"
             axes[i].set_title(f"{modes.names[i]}\n{size}", fontsize=8.5)
         axes[0].set_ylabel("y  (mm)")
-        axes[shown].set_ylabel("x  (mm)")
-        picture.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.09, wspace=0.3, hspace=0.25)
+        picture.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.09, wspace=0.4, hspace=0.25)
     return picture
 
 
 def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, values: dict[str, float]) -> None:
-    detector = found.solution.detector
-    for path, (points, pivot) in rigid_parts(detector).items():
+    """Draw a mode along the beam, and from the side in the plane, x or y over z, in which it moves more."""
+    parts = []
+    for path, (points, pivot) in rigid_parts(found.solution.detector).items():
         constants = np.array([values.get(f"{path}.{key}", 0.0) for key in PLACEMENT])
-        moved = constants[:3] + np.cross(constants[3:], points - pivot)
+        parts.append((points, constants[:3] + np.cross(constants[3:], points - pivot)))
+    far = [np.abs(np.concatenate([moved[:, axis] for _, moved in parts])).max() for axis in (0, 1)]
+    up = int(far[1] > far[0])
+    reach = np.zeros(2)  # r and z of the parts that move
+    for points, moved in parts:
         r = np.hypot(points[:, 0], points[:, 1])
+        if moved.any():
+            reach = np.maximum(reach, (r.max(), np.abs(points[:, 2]).max()))
         outer = np.isclose(r, r.max())
         middle = outer & np.isclose(points[:, 2], np.median(points[outer, 2]))
-        plane = outer & (np.abs(points[:, 1]) < 1e-6)
-        for one, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, 0))):
+        plane = outer & (np.abs(points[:, 1 - up]) < 1e-6)
+        for one, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, up))):
             _quiver(one, points[rows][:, columns], moved[rows][:, columns])
-    along.set(xlabel="x  (mm)", aspect="equal")
-    side.set(xlabel="z  (mm)")
+    across, beam = 1.4 * reach
+    along.set(xlabel="x  (mm)", aspect="equal", xlim=(-across, across), ylim=(-across, across))
+    side.set(xlabel="z  (mm)", ylabel=f"{'xy'[up]}  (mm)", xlim=(-beam, beam), ylim=(-across, across))
     for one in (along, side):
-        one.margins(0.15)
         grid(one)
 
 

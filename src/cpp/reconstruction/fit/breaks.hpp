@@ -111,7 +111,7 @@ struct LossBin {
 
 // Sums over components: weight, weight times mean, weight times mean square.
 template <class T>
-struct Moments {
+struct HypothesisMoments {
   T weight{0.0}, first{0.0}, second{0.0};
 
   void add(const T& w, const T& mean, const T& variance) {
@@ -119,15 +119,15 @@ struct Moments {
     first += w * mean;
     second += w * (variance + mean * mean);
   }
-  Moments& operator+=(const Moments& other) {
+  HypothesisMoments& operator+=(const HypothesisMoments& other) {
     weight += other.weight;
     first += other.first;
     second += other.second;
     return *this;
   }
   // Of the sum of two independent losses.
-  friend Moments operator*(const Moments& a, const Moments& b) {
-    Moments both;
+  friend HypothesisMoments operator*(const HypothesisMoments& a, const HypothesisMoments& b) {
+    HypothesisMoments both;
     both.weight = a.weight * b.weight;
     both.first = a.first * b.weight + a.weight * b.first;
     both.second = a.second * b.weight + 2.0 * a.first * b.first + a.weight * b.second;
@@ -143,7 +143,7 @@ struct MomentumDensity {
   std::size_t n = 0;
 
   // Components without weight in any lane are left out.
-  void add(const Moments<T>& of, const T& shift, const T& variance) {
+  void add(const HypothesisMoments<T>& of, const T& shift, const T& variance) {
     if (!any(of.weight > 1e-5)) return;
     const T per_weight = 1.0 / larger(of.weight, 1e-30), m = of.first * per_weight;
     weight[n] = of.weight;
@@ -436,7 +436,7 @@ class Breaks {
   }
 
   // Turns moments of shares x of the momentum into those of -ln(1 - x).
-  static void take_logarithm(Moments<T>& of) {
+  static void take_logarithm(HypothesisMoments<T>& of) {
     const T per_weight = 1.0 / larger(of.weight, 1e-30), x = smaller(of.first * per_weight, largest_share);
     const T variance = larger(of.second * per_weight - x * x, 0.0), per_left = 1.0 / (1.0 - x);
     const T mean = log(per_left);
@@ -451,28 +451,29 @@ class Breaks {
       take_logarithm(hidden_[k]);
       if (any(shown_[k].weight > 0.0)) take_logarithm(shown_[k]);
     }
-    Moments<T> none;
+    HypothesisMoments<T> none;
     none.weight = T(1.0);
-    Moments<T> all_hidden = none;  // no loss, or losses up to this bin
-    std::array<Moments<T>, bins> hidden;
+    HypothesisMoments<T> all_hidden = none;  // no loss, or losses up to this bin
+    std::array<HypothesisMoments<T>, bins> hidden;
     for (std::size_t k = 0; k < bins; ++k) {
-      const Moments<T>& one = hidden_[k];
-      Moments<T> pair = one * one;
+      const HypothesisMoments<T>& one = hidden_[k];
+      HypothesisMoments<T> pair = one * one;
       pair.weight *= half;
       pair.first *= half;
       pair.second *= half;
-      Moments<T> some = one;
+      HypothesisMoments<T> some = one;
       some += pair;
       hidden[k] = all_hidden * some;
       all_hidden += hidden[k];
     }
     density_.n = 0;
     density_.add(none, -subtracted, core);
-    Moments<T> losses, shown = none;  // hidden ones below the bin; none or those shown up to the bin
+    HypothesisMoments<T> losses,
+        shown = none;  // hidden ones below the bin; none or those shown up to the bin
     for (std::size_t k = 0; k < bins; ++k) {
-      const Moments<T> pairs = shown_[k] * losses;
+      const HypothesisMoments<T> pairs = shown_[k] * losses;
       shown += shown_[k];
-      Moments<T> both = hidden[k] * shown;
+      HypothesisMoments<T> both = hidden[k] * shown;
       both += pairs;
       density_.add(both, -subtracted, core);
       density_.add(shown_[k], -subtracted, core);
@@ -490,7 +491,7 @@ class Breaks {
   T straggling_;  // variance of ln(p) that the fit takes for losses
   T resolved_{1.0}, cut_{1.0};
   std::array<T, bins + 1> per_edge_;  // one over the share of the momentum
-  std::array<Moments<T>, bins> hidden_, shown_;
+  std::array<HypothesisMoments<T>, bins> hidden_, shown_;
   MomentumDensity<T> density_;
   T seen_, radius_;
 };
