@@ -144,9 +144,10 @@ struct MomentumDensity {
 
   // Components without weight in any lane are left out.
   void add(const HypothesisMoments<T>& of, const T& shift, const T& variance) {
-    if (!any(of.weight > 1e-5)) return;
+    const mask_of<T> counts = of.weight > 1e-5;
+    if (!any(counts)) return;
     const T per_weight = 1.0 / larger(of.weight, 1e-30), m = of.first * per_weight;
-    weight[n] = of.weight;
+    weight[n] = select(counts, of.weight, T(0.0));  // a lane is as it would be alone
     mean[n] = m + shift;
     sigma[n] = sqrt(larger(of.second * per_weight - m * m, 0.0) + variance);
     per_sigma[n] = 1.0 / sigma[n];
@@ -165,12 +166,13 @@ struct MomentumDensity {
     below = density = T(0.0);
     for (std::size_t i = 0; i < n; ++i) {
       const T z = (x - mean[i]) * per_sigma[i], a = abs(z);
-      if (all(a > far)) {
+      const mask_of<T> near = !(a > far);
+      if (!any(near)) {
         below += select(z > 0.0, weight[i], T(0.0));
         continue;
       }
       const T t = 1.0 / (1.0 + 0.2316419 * a), w = smaller(a, 2 * far);
-      const T e = weight[i] * 0.39894228040143267794 * exp(-0.5 * w * w);
+      const T e = select(near, weight[i] * 0.39894228040143267794 * exp(-0.5 * w * w), T(0.0));
       const T tail =
           e * t *
           (0.319381530 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429))));
@@ -183,14 +185,16 @@ struct MomentumDensity {
   T quantile(double probability, T x, T from, T to) const {
     constexpr int steps = 30;
     const double close = 0.02 * std::min(probability, 1 - probability);
+    mask_of<T> done(false);
     for (int i = 0; i < steps; ++i) {
       T below, density;
       at(x, below, density);
       const T miss = below - probability, next = x - miss / larger(density, 1e-12);
       from = select(miss < 0.0, x, from);
       to = select(miss < 0.0, to, x);
-      x = select((next > from) & (next < to), next, 0.5 * (from + to));
-      if (all(abs(miss) < close)) break;
+      x = select(done, x, select((next > from) & (next < to), next, 0.5 * (from + to)));
+      done = done | (abs(miss) < close);
+      if (all(done)) break;
     }
     return x;
   }
@@ -198,7 +202,7 @@ struct MomentumDensity {
   T guess(double probability) const {
     T x = mean[0] + sigma[0], below = 0.84 * weight[0];
     for (std::size_t i = 1; i < n; ++i) {
-      x = select(below < probability, mean[i], x);
+      x = select((below < probability) & (weight[i] > 0.0), mean[i], x);
       below += weight[i];
     }
     return larger(x, mean[0] + sigma[0]);
@@ -213,20 +217,24 @@ struct MomentumDensity {
       x = select(height > best, mean[i], x);
       best = larger(height, best);
     }
+    mask_of<T> done(false);
     for (int step = 0; step < steps; ++step) {
       T sum(0.0), weighted(0.0);
       for (std::size_t i = 0; i < n; ++i) {
         const T z = abs(x - mean[i]) * per_sigma[i];
-        if (all(z > far)) continue;
+        const mask_of<T> counts = !(z > far);
+        if (!any(counts)) continue;
         const T near = smaller(z, 2 * far);
-        const T w = weight[i] * per_sigma[i] * per_sigma[i] * per_sigma[i] * exp(-0.5 * near * near);
+        const T w = select(
+            counts, weight[i] * per_sigma[i] * per_sigma[i] * per_sigma[i] * exp(-0.5 * near * near), T(0.0));
         sum += w;
         weighted += w * mean[i];
       }
       const T next = weighted / larger(sum, 1e-300);
-      const bool done = all(abs(next - x) < 0.02 * sigma[0]);
-      x = next;
-      if (done) break;
+      const mask_of<T> close = abs(next - x) < 0.02 * sigma[0];
+      x = select(done, x, next);
+      done = done | close;
+      if (all(done)) break;
     }
     return x;
   }
@@ -419,11 +427,12 @@ class Breaks {
       const T per = 1.0 / (1.0 - bin.mean * seen), d = bin.mean * per,
               v = bin.variance * (per * per) * (per * per);
       const T known = one.information * d * d;
-      if (!any(known > least_known)) {
+      const mask_of<T> shows = known > least_known;
+      if (!any(shows)) {
         hidden_[k].add(bin.number, unseen * d, unseen * unseen * v);
         continue;
       }
-      const T hidden = bin.number / (1.0 + known * known);
+      const T hidden = select(shows, bin.number / (1.0 + known * known), bin.number);
       hidden_[k].add(hidden, unseen * d, unseen * unseen * v);
       const T f = 1.0 / (1.0 + v * one.information);
       const T power = f * (one.slope * d - 0.5 * known + 0.5 * v * one.slope * one.slope);
