@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 import re
 import signal
@@ -25,6 +26,10 @@ from cgemit.truth.origins import particle_rows
 DESIGN = "besiii-cgem-design"
 
 
+#: Of the fixture, which a process may make several times: each compiles a detector of its own.
+NUMBER = itertools.count(1)
+
+
 @pytest.fixture(scope="module")
 def calls() -> dict[str, list[Call]]:
     """Calls of the functions and classes of the compiled module by name, as the package makes them."""
@@ -34,7 +39,11 @@ def calls() -> dict[str, list[Call]]:
     expected_errors.cache_clear()
     chip_delays.cache_clear()
     detector = cg.load(DESIGN).with_overrides(
-        {"materials.Kapton.density": "1.4321 g/cm3", "drift_chamber.sigma": "131.7 um", "cgem.L2.efficiency": 0.9}
+        {
+            "materials.Kapton.density": f"{1.43 + 1e-4 * next(NUMBER):.4f} g/cm3",
+            "drift_chamber.sigma": "131.7 um",
+            "cgem.L2.efficiency": 0.9,
+        }
     )
     gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9), vertex_sigma=(1.0, 1.0, 1.0))
     with recorded(found):

@@ -59,7 +59,7 @@ class AlignmentTable(Shown, Tabular):
     >>> moved = det.misaligned(seed=1, sizes={"cgem.*": ("100 um", "0.1 mrad")})
     >>> table = moved.displacements()
     >>> len(table.name), det.with_alignment(table).cgem["L1"].shift_x == moved.cgem["L1"].shift_x
-    (18, True)
+    (24, True)
     """
 
     name: tuple[str, ...]

@@ -34,7 +34,7 @@ FOLDER = "a folder of another run"
 STAGE_TABLES = (
     *BY_STAGE[:3],
     ("candidate_hits",),
-    ("refined_clusters", "refined_wire_hits", "tracks", "residuals", "states", "start_times"),
+    ("refined_clusters", "refined_wire_hits", "tracks", "residuals", "states", "components", "start_times"),
 )
 
 SIMULATED = ("decays", "steps", "truths", "wire_truths")
@@ -106,6 +106,8 @@ CASES: dict[str, Case] = {
     "fit.least_width": Case(0.5, FOUND),
     "fit.delta_strips": Case(0.2, FOUND),
     "fit.kinks": Case(False, FITTED),
+    "fit.beam": Case((0.1, 5.0), FITTED),
+    "fit.components": Case(True, ("components",), {"fit.hypothesis": "e"}),
     "fit.outlier_pull": Case(2.5, FITTED),
     "fit.momentum": Case(0.1, FITTED, WITHOUT_FIELD | {"find.momentum": 1.0}),
     "fit.prior_sigma": Case((1.0, 0.05, 0.5, 1.0, 0.2), FITTED),
@@ -326,7 +328,7 @@ def test_find_settings_without_the_finder_are_refused() -> None:
 #: have the errors of their size, and tracks a mass and a momentum of their own.
 NOT_ANALYTIC = {
     *("cluster_errors", "residuals", "states", "hypothesis", "max_iterations", "tolerance", "kinks", "outlier_pull"),
-    "momentum",
+    *("momentum", "components"),
 }
 
 
@@ -334,6 +336,8 @@ NOT_ANALYTIC = {
 def test_settings_of_the_fit_reach_the_analytic_resolution() -> None:
     cases = {key.removeprefix("fit."): case for key, case in CASES.items() if key.startswith("fit.")}
     unseen = set()
+    with pytest.raises(ValueError, match="beam"):
+        cg.analytic(DESIGN, "e-", p=0.3, fit=cg.FitSettings(beam=cases.pop("beam").value))
     for name, case in cases.items():
         design = DESIGN.with_overrides(field) if (field := field_of(case)) else DESIGN
         covariances = [

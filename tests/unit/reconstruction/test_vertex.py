@@ -54,6 +54,7 @@ def tracks_of(particles: cg.Table, *, smear: int | None = None) -> tuple[cg.Tabl
     same = {"event": particles["event"], "track": np.arange(n), "particle": particles["particle"]}
     same |= {"purity": np.ones(n), "efficiency": np.ones(n), "decayed": np.zeros(n, np.int8)}
     same |= {"other_mass": np.zeros(n, np.int8), "match": np.zeros(n, np.int8), "half_turn": np.zeros(n, np.int8)}
+    same["quantile_p"] = np.full(n, 0.5)
     from cgemit.detector import compiled
 
     same |= compare(tracks, particles, np.arange(n), compiled(DETECTOR).field)
