@@ -62,6 +62,7 @@ def _errors(axes: Axes, found: Alignment | AlignmentForecast) -> None:
         axes.bar(at, values, width, color=SERIES[i % len(SERIES)], label=key)
     axes.set(yscale="log", ylabel="error  (um, urad)", xticks=range(len(parts)))
     axes.set_xticklabels(parts, rotation=20, ha="right")
+    axes.set_ylim(top=2 * axes.get_ylim()[1])  # below the legend
     axes.legend(ncol=3, fontsize=7.5)
     grid(axes)
 

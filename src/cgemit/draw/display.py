@@ -85,7 +85,7 @@ def event(result: Result, number: int = 0) -> Picture:
     # Lines end behind a particle only.
     title = textwrap.fill(whole.replace(" ", "\u00a0").replace(";\u00a0", "; "), _TITLE_WIDTH).replace("\u00a0", " ")
     with style():
-        picture, axes, anodes, charges = _layout(len(detector.cgem), title.count("\n"))
+        picture, axes, anodes, charges = _layout(len(detector.cgem), title.count("\n"), wide=view.measured)
         for plot in axes[:2]:
             _transverse_detector(plot, detector)
             _transverse_hits(plot, view, magnified=plot is axes[1])
@@ -112,13 +112,21 @@ def event(result: Result, number: int = 0) -> Picture:
     return picture
 
 
-def _layout(layers: int, more_lines: int) -> tuple[Picture, list[Axes], list[Axes], list[Axes]]:
-    """Return a picture with axes across the beam, magnified, along it; for each unrolled anode; for charges of each."""
+def _layout(layers: int, more_lines: int, *, wide: bool) -> tuple[Picture, list[Axes], list[Axes], list[Axes]]:
+    """Return a picture with axes across the beam, magnified, along it; for each unrolled anode; for charges of each.
+
+    `wide`: times of strips have many digits.
+    """
     heights = [4.1, 2.6, 3.0, 2.4] if layers else [4.1, 2.6]  # the first row: as wide as high, no band below
     above = 0.65 + 0.2 * more_lines  # inches, of the title
     height = sum(heights) + 0.75 * len(heights) + 0.35 + above
     picture = Picture(figsize=(10.0, height))
-    edges = {"left": 0.075, "right": 0.925 if layers else 0.985, "top": 1 - above / height, "bottom": 1.3 / height}
+    edges = {
+        "left": 0.075,
+        "right": (0.895 if wide else 0.925) if layers else 0.985,
+        "top": 1 - above / height,
+        "bottom": 1.3 / height,
+    }
     grid = picture.add_gridspec(len(heights), 1, height_ratios=heights, hspace=0.22, **edges)
     across = grid[0].subgridspec(1, 2, wspace=0.2)
     axes = [picture.add_subplot(place) for place in (across[0], across[1], grid[1])]
