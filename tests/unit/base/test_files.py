@@ -451,7 +451,7 @@ def test_json_is_read_like_other_texts(tmp_path):
 
 
 LONG = ".".join(["a"] * 1900)
-#: s of the processor: a reader whose time grows with the text needs a tenth, one whose time grows with its square an hour.
+#: s of the processor: a tenth is used by a reader whose time grows with the text, hours if with its square.
 ENOUGH = 60.0
 
 
