@@ -12,7 +12,7 @@ author = copyright = PROJECT["authors"][0]["name"]
 version = release = PROJECT["version"]
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
-root_doc = "docs/index"
+root_doc = "README"
 include_patterns = [
     *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "pages/README.md", "pages/reference/README.md"),
     *("docs/*.md", "docs/how-to/*.md", "docs/methods/*.md", "docs/reference/*.md", "notebooks/*.py"),
@@ -29,7 +29,7 @@ html_static_path = ["site/static", f"{find_spec('sphinx-mathjax-offline').submod
 mathjax_path = "mathjax/tex-chtml.js"
 html_css_files = ["wide.css"]
 html_favicon = "site/favicon.svg"
-html_extra_path = ["site/index.html"]  # index.html, which leads to docs/index.html
+html_extra_path = ["site/index.html"]  # index.html, which leads to README.html
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
@@ -60,6 +60,13 @@ def _literal(app, what, name, obj, options, lines):
     lines[:end] = [re.sub(r"\|(?=.*\|)|(?<=\w)\|", r"\\|", line) if "``" not in line else line for line in code]
 
 
+def _with_contents(app, docname, source):
+    """Append the lists of pages to the front page: where README.md is shown without Sphinx, they are no text."""
+    if docname == root_doc:
+        source[0] += "\n" + (Path(__file__).parent / "site" / "contents.md").read_text(encoding="utf-8")
+
+
 def setup(app):
-    """Connect the changes of docstrings, before napoleon reads them."""
+    """Connect the changes of docstrings, before napoleon reads them, and the lists of pages."""
     app.connect("autodoc-process-docstring", _literal, priority=100)
+    app.connect("source-read", _with_contents)

@@ -7,6 +7,7 @@ import io
 import os
 import re
 import tempfile
+import tomllib
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -82,7 +83,9 @@ def blocks(found: Found) -> dict[str, str]:
     study = {row.id: row for row in paper.PAGE.read()["study"].rows}
     cgem, idc = (cg.analytic(name, "mu-", p=MOMENTA, cos_theta=ANGLES) for name in DETECTORS)
     epic = presets.PAGE.read()["epic"].rows
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     return {
+        "repository": f"<{project['urls']['Repository']}>",
         "angle": span([row.value / row.reference for row in slabs if row.quantity == "q68_mrad"]),
         "loss": span([row.value / row.reference for row in slabs if row.quantity == "loss_kev_q50"]),
         "speed": f"{min(faster):.1f} to {max(faster):.1f}",

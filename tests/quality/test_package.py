@@ -98,10 +98,14 @@ def test_links_of_the_documentation_lead_somewhere() -> None:
     assert not broken
 
 
-def test_every_page_is_in_the_index_of_the_documentation() -> None:
-    index = (ROOT / "docs" / "index.md").read_text()
-    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
-    assert not [page for page in pages if page != "index.md" and f"({page})" not in index]
+def test_every_page_is_in_the_contents_of_the_site() -> None:
+    contents = ROOT / "docs" / "site" / "contents.md"
+    lines = [line for line in contents.read_text().splitlines() if line and not line.startswith((":", "```"))]
+    listed = {path for line in lines for path in ROOT.glob(line + ("" if line.endswith("*") else ".*"))}
+    pages = {path for path in (ROOT / "docs").rglob("*.md") if path != contents}
+    assert pages
+    assert not pages - listed
+    assert all(list(ROOT.glob(line if line.endswith("*") else f"{line}.*")) for line in lines)
 
 
 @pytest.mark.slow
