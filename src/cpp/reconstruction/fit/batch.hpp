@@ -21,7 +21,7 @@ class BatchFit {
         settings_(settings),
         out_(output),
         builder_(detector),
-        fit_(detector, settings, group_, input.interrupted) {}
+        breaks_(detector) {}
 
   void run() {
     std::vector<Start> starts;
@@ -222,7 +222,8 @@ class BatchFit {
           is_first(start.track) ? rows_of(start.track) : scratch_[k].rows(hits_of[k].size(), slabs(), out_);
     }
     builder_.build(std::span(hits_of).first(starts.size()), std::span(sides_of).first(starts.size()), group_);
-    fit_.run(helix, spread, species, std::span(lanes).first(starts.size()), wires_first, kinks);
+    GroupFit<T>(detector_, settings_, group_, breaks_, input_.interrupted)
+        .run(helix, spread, species, std::span(lanes).first(starts.size()), wires_first, kinks);
     for (std::size_t k = 0; k < starts.size(); ++k) {
       if (lanes[k].rows != &out_.rows[starts[k].track]) keep_better(starts[k].track, lanes[k]);
     }
@@ -271,7 +272,7 @@ class BatchFit {
   const FitOutput& out_;
   GroupBuilder<T> builder_;
   Group<T> group_;
-  GroupFit<T> fit_;
+  Breaks<T> breaks_;
   std::array<Scratch, width> scratch_;
 };
 

@@ -1,7 +1,9 @@
 // The fit of a group of tracks, one per lane.
 #pragma once
 
+#include <array>
 #include <cmath>
+#include <span>
 
 #include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
@@ -14,34 +16,26 @@
 
 namespace cgemit {
 
+// Each group has a new object, so that nothing of one group can reach the next. `group` and `breaks` keep
+// their memory; the fit writes into them before it reads.
 template <class T>
 class GroupFit {
  public:
-  GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group, Interrupted interrupted)
-      : detector_(detector),
-        settings_(settings),
-        group_(group),
-        interrupted_(interrupted),
-        breaks_(detector) {}
+  GroupFit(const Detector& detector, const FitSettings& settings, Group<T>& group, Breaks<T>& breaks,
+           Interrupted interrupted)
+      : detector_(detector), settings_(settings), group_(group), breaks_(breaks), interrupted_(interrupted) {}
 
   // Fits from `start`; `spread` (mm) is the distance of most hits from it. `wires_first`: the unknown sides
   // are determined from the wires alone before the clusters join. `kinks`: slow tracks get kinks.
   void run(const PerigeeOf<T>& start, T spread, const SpeciesOf<T>& species, std::span<const FitLane> lanes,
            bool wires_first, bool kinks) {
-    helix_ = start;
     species_ = species;
-    matter_ = {};
-    measured_ = mask_of<T>(false);
-    spread_ = spread;
-    passed_ = T(0.0);
     lanes_ = lanes;
+    kinks_ = kinks;
+    spread_ = spread;
+    helix_ = start;
     open_ = has_open_sides();
     wires_only_ = wires_first & open_;
-    kinks_ = kinks;
-    chi2_ = T(0.0);
-    near_ = weighed_ = mask_of<T>(false);
-    was_rough_ = false;
-    active_ = mask_of<T>(false);
     for (std::size_t k = 0; k < lanes.size(); ++k) set_lane(active_, static_cast<int>(k), true);
     Five<T> prior;
     unroll<parameters>([&](auto i) {
@@ -445,27 +439,29 @@ class GroupFit {
   const Detector& detector_;
   const FitSettings& settings_;
   Group<T>& group_;
+  Breaks<T>& breaks_;
   Interrupted interrupted_;
-  Breaks<T> breaks_;
-  mask_of<T> weighed_;           // lanes whose density is made at the end
-  std::array<Slot<T>, 2> beam_;  // the beam spot as measurements of d and z0
-  SpeciesOf<T> species_;
-  PerigeeOf<T> helix_;            // linearisation point of the next iteration
-  MatterMomentum<T> matter_;      // of the last trace
-  mask_of<T> measured_;           // lanes whose fitted kappa has measured the momentum
-  LinearisedAbout<T> reference_;  // linearisation point of this iteration
-  Five<T> variance_;              // of the previous iteration
-  Five<T> noise_;                 // variances that all matter adds
-  T spread_, passed_;             // of the start; kappa of the last reference that did not stop, 0 if none
-  std::span<const FitLane> lanes_;
-  mask_of<T> active_, open_, wires_only_;
-  mask_of<T> near_;          // lanes that may keep their reference
-  Five<T> moved_;            // from the reference to `helix_`
-  PerigeeOf<T> extents_at_;  // helix for which the extents of the slots hold
-  bool was_rough_ = false;
-  T chi2_;  // of the previous iteration
-  bool kinks_ = true;
+  SpeciesOf<T> species_{};
+  std::span<const FitLane> lanes_{};
+  bool kinks_ = false;
+  T spread_{0.0};  // of the start
   int iteration_ = 0;
+  mask_of<T> active_{false};                    // lanes that have neither converged nor failed
+  mask_of<T> open_{false}, wires_only_{false};  // with unknown sides; with these fitted to the wires alone
+  PerigeeOf<T> helix_{};                        // linearisation point of the next iteration
+  LinearisedAbout<T> reference_{};              // linearisation point of this iteration
+  Five<T> moved_{};                             // from the reference to `helix_`
+  mask_of<T> near_{false};                      // lanes that may keep their reference
+  PerigeeOf<T> extents_at_{};                   // helix for which the extents of the slots hold
+  bool was_rough_ = false;                      // the previous iteration
+  T passed_{0.0};                               // kappa of the last reference that did not stop, 0 if none
+  MatterMomentum<T> matter_{};                  // of the last trace
+  mask_of<T> measured_{false};                  // lanes whose fitted kappa has measured the momentum
+  Five<T> noise_{};                             // variances that all matter adds
+  Five<T> variance_{};                          // of the previous iteration
+  T chi2_{0.0};                                 // of the previous iteration
+  std::array<Slot<T>, 2> beam_{};               // the beam spot as measurements of d and z0
+  mask_of<T> weighed_{false};                   // lanes whose density is made at the end
 };
 
 }  // namespace cgemit
