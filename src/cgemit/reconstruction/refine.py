@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Flags, Floats
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check
@@ -391,6 +391,29 @@ class StartTimeStatus(enum.IntEnum):
     not_converged = 2
 
 
+@dataclass
+class _StartTimes:
+    """What one reconstruction has found so far of the start times of its events, (events,)."""
+
+    relations: DriftRelations
+    time: Floats  # ns
+    error: Floats  # ns
+    moving: Flags
+    counted: Rows  # tracks
+    status: npt.NDArray[np.int8]
+    slope: Floats  # (candidates, 5), of the helices with the start time, 1/ns
+    fits: _Fits | None = None  # of the turn before
+
+    @classmethod
+    def at_zero(cls, relations: DriftRelations, n: int, error: float) -> _StartTimes:
+        """Return the given start times of `n` events with their error, before any track is known."""
+        status = np.full(n, StartTimeStatus.no_track, np.int8)
+        return cls(
+            relations, np.zeros(n), np.full(n, error), np.ones(n, np.bool_), np.zeros(n, np.int64), status,
+            np.zeros((0, 5)),
+        )  # fmt: skip
+
+
 class StartTime(Refinement):
     """The start time of each event, from the residuals of its tracks (docs/methods/reconstruct.md).
 
@@ -409,10 +432,7 @@ class StartTime(Refinement):
     def __init__(self, prior_error: float | None = None) -> None:
         self._prior = 0.0 if prior_error is None else prior_error**-2
         self._prior_error = math.nan if prior_error is None else prior_error
-        self._time: Floats = np.zeros(0)
-        self._before: _Fits | None = None
-        self._slope: Floats = np.zeros((0, 5))
-        self._relations = DriftRelations(())
+        self._times = _StartTimes.at_zero(DriftRelations(()), 0, self._prior_error)
 
     def guess(self, detector: Detector, hits: Hits) -> Hits:
         """Start at the given time, with errors for that it is wrong."""
@@ -422,11 +442,7 @@ class StartTime(Refinement):
                 f"fit: start_time: got 'fitted' and {unknown} of {len(hits.wire_hits)} wire hits without a drift_time, "
                 "expected one for each"
             )
-        self._relations = relations_of(detector)
-        n = len(hits.wire_hits.events)
-        self._time, self._error = np.zeros(n), np.full(n, self._prior_error)
-        self._moving = np.ones(n, np.bool_)
-        self._counted, self._status = np.zeros(n, np.int64), np.full(n, StartTimeStatus.no_track, np.int8)
+        self._times = _StartTimes.at_zero(relations_of(detector), len(hits.wire_hits.events), self._prior_error)
         return self._shifted(hits, FIRST_ERRORS[0])
 
     def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
@@ -434,9 +450,9 @@ class StartTime(Refinement):
         event = np.searchsorted(turn.candidates.events, turn.candidates["event"])
         rest = turn.turns - turn.number
         if rest == 2:  # the fit of this turn was shifted
-            self._set_errors(_Fits.of(self._relations, turn, self._time[event] + PROBE), event)
+            self._set_errors(_Fits.of(self._times.relations, turn, self._times.time[event] + PROBE), event)
             return self._shifted(hits)
-        now = self._before = _Fits.of(self._relations, turn, self._time[event])
+        now = self._times.fits = _Fits.of(self._times.relations, turn, self._times.time[event])
         self._step(now, event, turn.number)
         if rest == 3:
             return self._shifted(hits, shift=PROBE)
@@ -446,11 +462,11 @@ class StartTime(Refinement):
         """Return the table ``start_times``, and the tracks with its errors in their covariance."""
         candidates, tracks = tables["candidates"], tables["tracks"]
         event = np.searchsorted(candidates.events, candidates["event"])
-        before, tracks = tracks["err_p"], _with_time_error(tracks, self._slope, self._error[event])
+        before, tracks = tracks["err_p"], _with_time_error(tracks, self._times.slope, self._times.error[event])
         tracks = tracks.with_columns(displaced=displaced(tracks["dr"], tracks["err_dr"], detector))
         columns = {
-            "event": candidates.events, "start_time": self._time, "err_start_time": self._error,
-            "n_tracks": self._counted, "status": self._status,
+            "event": candidates.events, "start_time": self._times.time, "err_start_time": self._times.error,
+            "n_tracks": self._times.counted, "status": self._times.status,
         }  # fmt: skip
         made = {"tracks": tracks, "start_times": Table("start_times", columns, **candidates.cover)}
         if "components" in tables:
@@ -462,36 +478,36 @@ class StartTime(Refinement):
     def _shifted(self, hits: Hits, error: float = 0.0, shift: float = 0.0) -> Hits:
         """Return hits with drift times counted from the present start times; `error`: of these times, ns."""
         wires = hits.wire_hits
-        wires = start_subtracted(self._relations, wires, wires.events, self._time + shift)
+        wires = start_subtracted(self._times.relations, wires, wires.events, self._times.time + shift)
         if error:
-            velocity = self._relations.velocity_at(wires["layer"], np.abs(wires["drift"]))
+            velocity = self._times.relations.velocity_at(wires["layer"], np.abs(wires["drift"]))
             wires = wires.with_columns(sigma=np.hypot(wires["sigma"], error * velocity))
         return replace(hits, wire_hits=wires)
 
     def _step(self, now: _Fits, event: Rows, number: int) -> None:
         """Move the start times by a step of Newton's method."""
-        time, total, self._counted = self._combined(now, event, early=number < len(FIRST_ERRORS))
-        found = (self._counted > 0) & (np.abs(time) <= 5 * MOST_STEP)
-        moved = np.where(found & self._moving, time - self._time, 0.0).clip(-MOST_STEP, MOST_STEP)
-        self._time = self._time + moved * (1.0 if number < WHOLE_STEPS else 0.5)
-        self._moving = ~found | (np.abs(moved) * np.sqrt(total) > TOLERANCE) | (number < len(FIRST_ERRORS))
-        status = np.where(self._moving, StartTimeStatus.not_converged, StartTimeStatus.ok)
-        self._status = np.where(found, status, StartTimeStatus.no_track).astype(np.int8)
+        time, total, self._times.counted = self._combined(now, event, early=number < len(FIRST_ERRORS))
+        found = (self._times.counted > 0) & (np.abs(time) <= 5 * MOST_STEP)
+        moved = np.where(found & self._times.moving, time - self._times.time, 0.0).clip(-MOST_STEP, MOST_STEP)
+        self._times.time = self._times.time + moved * (1.0 if number < WHOLE_STEPS else 0.5)
+        self._times.moving = ~found | (np.abs(moved) * np.sqrt(total) > TOLERANCE) | (number < len(FIRST_ERRORS))
+        status = np.where(self._times.moving, StartTimeStatus.not_converged, StartTimeStatus.ok)
+        self._times.status = np.where(found, status, StartTimeStatus.no_track).astype(np.int8)
 
     def _set_errors(self, probed: _Fits, event: Rows) -> None:
         """Set errors and slopes from the change of the gradients, and of the helices, with the start time."""
-        now = self._before
+        now = self._times.fits
         assert now is not None
-        found = self._status != StartTimeStatus.no_track
-        self._counted = np.where(found, self._counted, 0)
-        self._time = np.where(found, self._time, 0.0)
+        found = self._times.status != StartTimeStatus.no_track
+        self._times.counted = np.where(found, self._times.counted, 0)
+        self._times.time = np.where(found, self._times.time, 0.0)
         both = (now.info > 0) & (probed.info > 0) & found[event]
         lever = np.where(both, probed.at - now.at, 1.0)
         info = np.where(both, (now.gradient - probed.gradient) / lever, now.info)
         info = np.where((info > 0.5 * now.info) & (info < 2 * now.info), info, now.info)
-        self._slope = np.where(both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
+        self._times.slope = np.where(both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
         _, total, _ = self._combined(now._replace(info=np.where(now.info > 0, info, 0.0)), event, early=False)
-        self._error[found] = total[found] ** -0.5
+        self._times.error[found] = total[found] ** -0.5
 
     def _combined(self, now: _Fits, event: Rows, *, early: bool) -> tuple[Floats, Floats, Rows]:
         """Return the mean start time of the tracks of each event, its 1/variance, and how many tracks count.
@@ -501,7 +517,7 @@ class StartTime(Refinement):
         step = np.divide(now.gradient, now.info, out=np.zeros(len(now.info)), where=now.info > 0)
         best = now.chi2 - step * now.gradient
         info = np.where(early | (best <= MOST_CHI2 * now.ndf), now.info, 0.0)
-        time, events = now.at + step, len(self._time)
+        time, events = now.at + step, len(self._times.time)
         median, width = _medians(time, info, event, events)
         far = np.abs(time - median) > MOST_PULL * np.hypot(_spread(info), width)
         info = np.where(far, 0.0, info)

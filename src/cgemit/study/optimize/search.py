@@ -182,11 +182,7 @@ class Descent:
     progress: Callable[[float, str], None] | None = None
     designs: list[Design] = field(default_factory=list)
     gradients: int = 0
-    _anchors: list[Covariance] = field(default_factory=list)
-    _found: dict[tuple[float, ...], _Point] = field(default_factory=dict)
-    _slopes: dict[tuple[float, ...], dict[str, Floats]] = field(default_factory=dict)
-    _good: Floats | None = None
-    _refused: list[Floats] = field(default_factory=list)
+    _hits: _Anchored = field(default_factory=lambda: _Anchored())
     _lines: tuple[Floats, Floats] = (np.empty((0, 0)), np.empty(0))
 
     def start(self, u: Floats) -> None:
@@ -220,9 +216,10 @@ class Descent:
         row = self._row(u)
         if row["status"] != "ok":
             raise NoStartError("start", [Problem("", one, "") for one in row["problems"]])
-        self._found, self._slopes, self._good, self._refused = {}, {}, np.array(u), []
-        if self.fixed_hits and self.evaluator.goals.quantities:
-            self._anchors = covariances(self.detector(u), self.evaluator.goals.evaluation)
+        fixed = self.fixed_hits and self.evaluator.goals.quantities
+        self._hits = _Anchored(
+            covariances(self.detector(u), self.evaluator.goals.evaluation) if fixed else [], np.array(u)
+        )
         return row
 
     def beyond(self, row: dict[str, Any], refused: Sequence[Floats]) -> Floats | None:
@@ -240,7 +237,7 @@ class Descent:
 
     def refused(self, u: Floats) -> list[Floats]:
         """Return some designs, near and far from u, that could not have its hits."""
-        far = sorted(self._refused, key=lambda one: float(np.linalg.norm(one - u)))
+        far = sorted(self._hits.refused, key=lambda one: float(np.linalg.norm(one - u)))
         return far[:: -max(1, len(far) // _MOST_REFUSED)]
 
     def _merit(self, row: dict[str, Any]) -> tuple[float, float]:
@@ -294,9 +291,9 @@ class Descent:
     def _at(self, u: Floats) -> _Point:
         """Return the design at u, or where the step from the last possible one has to end."""
         name = tuple(float(x) for x in u)
-        if name not in self._found:
+        if name not in self._hits.points:
             u = np.clip(np.array(name), 0, 1)
-            start = u if self._good is None else self._good
+            start = u if self._hits.last is None else self._hits.last
             for part in _CUTS:
                 here = start + part * (u - start)
                 values = self._values(here)
@@ -306,9 +303,11 @@ class Descent:
                 raise NoStartError(
                     "start", [Problem("", f"an impossible design {self.numbers(u)}", "a possible start")]
                 )
-            self._good = here
-            self._found[name] = _Point(here, self.detector(here), values, (1 - part) * float(np.linalg.norm(u - start)))
-        return self._found[name]
+            self._hits.last = here
+            self._hits.points[name] = _Point(
+                here, self.detector(here), values, (1 - part) * float(np.linalg.norm(u - start))
+            )
+        return self._hits.points[name]
 
     def _values(self, u: Floats) -> dict[str, float] | None:
         """Return the goals of a design; None if it is impossible."""
@@ -322,9 +321,9 @@ class Descent:
     def _with_fixed_hits(self, u: Floats) -> dict[str, float] | None:
         try:
             detector = self.detector(u)
-            found = [varied(one, [detector])[0] for one in self._anchors]
+            found = [varied(one, [detector])[0] for one in self._hits.covariances]
         except SurfacesError:
-            self._refused.append(u)
+            self._hits.refused.append(u)
             return None
         except DetectorError as error:
             problems = [str(one) for one in error.problems]
@@ -357,13 +356,13 @@ class Descent:
     def _slopes_at(self, u: Floats) -> dict[str, Floats]:
         """Return the derivatives of the logarithm of every goal by the scaled variables."""
         name = tuple(float(x) for x in u)
-        if name not in self._slopes:
+        if name not in self._hits.slopes:
             point = self._at(u)
-            self._slopes[name] = self._resolution_slopes(point) | {
+            self._hits.slopes[name] = self._resolution_slopes(point) | {
                 one.header: self._geometry_slope(one, point) for one in self._goals() if not one.resolution
             }
             self.gradients += 1
-        return self._slopes[name]
+        return self._hits.slopes[name]
 
     def _resolution_slopes(self, point: _Point) -> dict[str, Floats]:
         goals = [one for one in self._goals() if one.resolution]
@@ -371,7 +370,7 @@ class Descent:
             return {}
         names = tuple(dict.fromkeys(one.name for one in goals))
         keys = [one.key for one in self.variables]
-        found = [logarithmic_slopes(one, point.detector, keys, names)[0] for one in self._anchors]
+        found = [logarithmic_slopes(one, point.detector, keys, names)[0] for one in self._hits.covariances]
         values = np.mean(found, axis=0)  # (keys, quantities, p)
         pairs = zip(self.variables, self.numbers(point.u), strict=True)
         chain = np.array([(one.high - one.low) * one.relative(number) for one, number in pairs])
@@ -400,6 +399,17 @@ class Descent:
                 (first, above), (last, below) = found[0], found[-1]
                 return np.asarray((np.array(above) - np.array(below)) / (first - last))
         return np.zeros(len(function(self.detector(u))))
+
+
+@dataclass
+class _Anchored:
+    """What a search keeps as long as it has the same hits."""
+
+    covariances: list[Covariance] = field(default_factory=list)
+    last: Floats | None = None  # the last possible design
+    points: dict[tuple[float, ...], _Point] = field(default_factory=dict)
+    slopes: dict[tuple[float, ...], dict[str, Floats]] = field(default_factory=dict)
+    refused: list[Floats] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
