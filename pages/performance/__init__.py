@@ -15,7 +15,7 @@ import cgemit as cg
 from cgemit.detector import slabs
 from pages.geant4 import read
 from pages.page import Found, Page, table
-from pages.performance import designs, fits, operations, peers, scaling, simulation, stages
+from pages.performance import designs, electrons, fits, operations, peers, scaling, simulation, stages
 from pages.performance.fits import FieldCost
 from pages.performance.scaling import TIMES, Growth, exponent
 from pages.performance.stages import CHAIN, Chain, Cost
@@ -119,6 +119,18 @@ def _finding(rows: Sequence[peers.Found]) -> str:
     return table(head, lines)
 
 
+def _electrons(rows: Sequence[electrons.Electrons]) -> str:
+    """Return the table of the fits of electrons."""
+    head = ["GeV/c", "fit", "core, %", "centre, %", "within 1, 2, 5 %", "95 % quantile, %", "in 68 and 95 % limits, %",
+            "µs", "over its muons"]  # fmt: skip
+    lines = [[f"{row.p:g}", row.program, f"{row.core:.3f} ± {row.core_error:.3f}",
+              f"{row.centre:+.2f}".replace("-", "−"),
+              f"{row.within_1:.1f}, {row.within_2:.1f}, {row.within_5:.1f}", f"{row.q95:.1f}",
+              f"{row.in_68:.1f}, {row.in_95:.1f}", f"{row.us:.3g}", f"{row.us / row.muon_us:.1f}"]
+             for row in rows]  # fmt: skip
+    return table(head, lines)
+
+
 def _slow_fits(rows: Sequence[peers.Peer]) -> str:
     """Return the ratios of the fits at 0.3 GeV/c, by instruction set."""
     fits = [row for row in rows if row.case.startswith("0.3 GeV") and row.what.startswith("fit, smoother")]
@@ -187,6 +199,8 @@ def blocks(found: Found) -> dict[str, str]:
         "peers-machine": f"{found['peers_finding'].about['machine']}; `{every['peers_finding'][0].isa}`",
         "peers-fields": _peers_fields(every["peers_fields"]),
         "peers-finding": _finding(every["peers_finding"]),
+        "electrons": _electrons(every["electrons"]),
+        "electrons-machine": f"{found['electrons'].about['machine']}; `{every['electrons'][-1].isa}`",
         "programs": table(
             ["program", "µs per muon", "what it does"], [list(row.values()) for row in read("programs.csv")]
         ),
@@ -285,6 +299,7 @@ PAGE = Page(
         "peers": (peers.Peer, peers.measure),
         "peers_fields": (peers.Peer, peers.measure_fields),
         "peers_finding": (peers.Found, peers.measure_finding),
+        "electrons": (electrons.Electrons, electrons.measure),
     },
     blocks,
     {

@@ -191,7 +191,15 @@ def acts_field(name: str, folder: Path) -> Any:
 
 
 def sequencer(
-    built: Any, folder: Path, events: int, muons: int, p: float, cos_theta: float, seed: int, field: Any
+    built: Any,
+    folder: Path,
+    events: int,
+    muons: int,
+    p: float,
+    cos_theta: float,
+    seed: int,
+    field: Any,
+    particle: str = "eMuon",
 ) -> Any:
     """Return a sequencer of ACTS with gun, simulation and digitization."""
     import acts
@@ -207,7 +215,7 @@ def sequencer(
         simulation.MomentumConfig(p * u.GeV, p * u.GeV, transverse=False),
         simulation.EtaConfig(-np.arctanh(cos_theta), np.arctanh(cos_theta), uniform=False),
         simulation.PhiConfig(0, 360 * u.degree),
-        simulation.ParticleConfig(muons, acts.PdgParticle.eMuon, randomizeCharge=False),
+        simulation.ParticleConfig(muons, getattr(acts.PdgParticle, particle), randomizeCharge=False),
         rnd=random,
     )
     simulation.addFatras(s, built, field, random, pMin=0.03)
@@ -222,38 +230,52 @@ def per_muon(folder: Path, muons: int) -> dict[str, float]:
     return {name: 1e6 * seconds / muons for name, seconds in times.items()}
 
 
-def run_acts(built: Any, folder: Path, p: float, cos_theta: float, seed: int, field: Any) -> dict[str, float]:
-    """Return us per muon of each algorithm, sigma(p) (GeV/c) and the fraction of tracks with all measurements."""
+def smeared_starts(sequencer: Any, seed: int, hypothesis: Any) -> None:
+    """Add the true helices, smeared, from which tracks are fitted."""
     import acts
     import acts.examples
     from acts.examples import reconstruction
 
-    u, quiet = acts.UnitConstants, acts.logging.FATAL
-    random = acts.examples.RandomNumbers(seed=seed)
-    s = sequencer(built, folder, EVENTS, MUONS, p, cos_theta, seed, field)
+    u = acts.UnitConstants
     reconstruction.addTruthSmearedSeeding(
-        s,
-        random,
+        sequencer,
+        acts.examples.RandomNumbers(seed=seed),
         "particles_simulated",
         reconstruction.TrackSmearingSigmas(1, 0, 0, 5, 0, 0, 1, 0.005, 0.005, 0.02),
         initialSigmas=[20, 100, 0.2, 0.2, 0.5 / u.GeV, 10 * u.ns],
         initialSigmaQoverPt=0.1 / u.GeV,
         initialSigmaPtRel=0.1,
         initialVarInflation=[1.0] * 6,
-        particleHypothesis=acts.ParticleHypothesis.muon,
-        logLevel=quiet,
+        particleHypothesis=hypothesis,
+        logLevel=acts.logging.FATAL,
     )
-    reconstruction.addKalmanTracks(s, built, field)
-    perigee = acts.Surface.createPerigee(acts.Vector3(0, 0, 0))
-    s.addAlgorithm(
+
+
+def at_perigee(sequencer: Any, built: Any, field: Any, name: str) -> list[tuple[Any, Any, Any]]:
+    """Add the extrapolation of fitted tracks to the beam line; returns their `collector`."""
+    import acts
+    import acts.examples
+
+    sequencer.addAlgorithm(
         acts.examples.TrackExtrapolationAlgorithm(
-            level=quiet, inputTracks="kf_tracks", outputTracks="at_perigee", trackingGeometry=built,
-            magneticField=field, targetSurface=perigee,
+            level=acts.logging.FATAL, inputTracks=name, outputTracks=f"{name}_at_perigee", trackingGeometry=built,
+            magneticField=field, targetSurface=acts.Surface.createPerigee(acts.Vector3(0, 0, 0)),
         )
     )  # fmt: skip
-    tracks = collector(s, "at_perigee")
+    return collector(sequencer, f"{name}_at_perigee")
+
+
+def run_acts(built: Any, folder: Path, p: float, cos_theta: float, seed: int, field: Any) -> dict[str, float]:
+    """Return us per muon of each algorithm, sigma(p) (GeV/c) and the fraction of tracks with all measurements."""
+    import acts
+    from acts.examples import reconstruction
+
+    s = sequencer(built, folder, EVENTS, MUONS, p, cos_theta, seed, field)
+    smeared_starts(s, seed, acts.ParticleHypothesis.muon)
+    reconstruction.addKalmanTracks(s, built, field)
+    tracks = at_perigee(s, built, field, "kf_tracks")
     s.run()
-    q_over_p, measurements = (np.concatenate(column) for column in zip(*tracks, strict=True))
+    q_over_p, _, measurements = (np.concatenate(column) for column in zip(*tracks, strict=True))
     fitted = (q_over_p != 0) & (measurements >= 38)
     width = width_of(np.abs(1 / q_over_p[fitted]) - p).core
     return {**per_muon(folder, EVENTS * MUONS), "sigma_p": width, "fitted": float(np.mean(fitted))}
@@ -300,7 +322,7 @@ def find_acts(built: Any, folder: Path, tracks: int, seed: int, p: float, cos_th
     )  # fmt: skip
     kept = collector(s, "tracks")
     s.run()
-    q_over_p, measurements = (np.concatenate(column) for column in zip(*kept, strict=True))
+    q_over_p, _, measurements = (np.concatenate(column) for column in zip(*kept, strict=True))
     momentum = 1 / np.abs(np.where(q_over_p == 0, np.inf, q_over_p))
     return {**per_muon(folder, IN_ALL), "found": found(momentum, measurements, p)}
 
@@ -310,12 +332,12 @@ def found(momentum: Any, measurements: Any, p: float) -> float:
     return float(np.sum((measurements >= LEAST) & (np.abs(momentum - p) < WITHIN * p)) / IN_ALL)
 
 
-def collector(sequencer: Any, name: str) -> list[tuple[Any, Any]]:
-    """Add an algorithm that keeps q/p (1/GeV) and the number of measurements of the fitted tracks of each event."""
+def collector(sequencer: Any, name: str) -> list[tuple[Any, Any, Any]]:
+    """Add an algorithm that keeps q/p (1/GeV), its error and the number of measurements of the tracks of each event."""
     import acts
     import acts.examples
 
-    kept: list[tuple[Any, Any]] = []
+    kept: list[tuple[Any, Any, Any]] = []
 
     class Collector(acts.examples.IAlgorithm):
         def __init__(self) -> None:
@@ -326,7 +348,8 @@ def collector(sequencer: Any, name: str) -> list[tuple[Any, Any]]:
         def execute(self, context: Any) -> Any:
             tracks = self.tracks(context.eventStore)
             parameters = np.array(tracks.parameters).reshape(-1, 6)
-            kept.append((parameters[:, 4], np.array(tracks.nMeasurements)))
+            errors = np.sqrt(np.array(tracks.covariance).reshape(-1, 6, 6)[:, 4, 4])
+            kept.append((parameters[:, 4], errors, np.array(tracks.nMeasurements)))
             return acts.examples.ProcessCode.SUCCESS
 
     sequencer.addAlgorithm(Collector())

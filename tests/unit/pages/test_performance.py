@@ -14,7 +14,7 @@ from cgemit.detector import field_at, load
 from cgemit.detector.readouts import Apv25Readout, TigerReadout
 from cgemit.simulation.digitize import digitizer_of
 from pages.page import MissingToolError, Numbers, Page
-from pages.performance import PAGE, blocks, operations, peers, scaling, simulation, stages
+from pages.performance import PAGE, blocks, electrons, operations, peers, scaling, simulation, stages
 from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
 
 # As callgrind writes it: names are spelled out once, also where a function of another library is called; places count
@@ -242,6 +242,60 @@ def test_tables_of_peers_show_what_was_measured() -> None:
         one, other = (row.acts_us if name == "ACTS" else row.us for row in (uniform, solenoid))
         assert [float(time) for time in times[:2]] == pytest.approx([one, other], abs=0.051)
         assert float(times[2]) == pytest.approx(other / one, abs=0.0051)
+
+
+def test_the_table_of_electrons_shows_what_was_measured() -> None:
+    found = PAGE.read()
+    rows = found["electrons"].rows
+    shown = _cells(blocks(found)["electrons"])
+    assert [row.program for row in rows] == [
+        "ACTS, Kalman filter", "ACTS, Gaussian-sum filter", "cgemit"
+    ] * len(electrons.MOMENTA)  # fmt: skip
+    for cells, row in zip(shown, rows, strict=True):
+        core, _, error = cells[2].partition(" ± ")
+        numbers = [float(text.replace("−", "-")) for text in (core, error, cells[3], cells[5])]
+        assert numbers == pytest.approx([row.core, row.core_error, row.centre, row.q95], abs=0.051)
+        assert numbers[0] == pytest.approx(row.core, abs=0.00051)
+        shares = [float(text) for cell in (cells[4], cells[6]) for text in cell.split(", ")]
+        expected = [row.within_1, row.within_2, row.within_5, row.in_68, row.in_95]
+        assert shares == pytest.approx(expected, abs=0.051)
+        assert float(cells[7]) == pytest.approx(row.us, rel=0.006)
+        assert float(cells[8]) == pytest.approx(row.us / row.muon_us, abs=0.051)
+
+
+def test_photons_of_a_mixture_have_the_spectrum_of_the_pdg() -> None:
+    """Per X/X0, y dN/dy = 4/3 (1 - y) + y^2 has the integral 1, and y^2 dN/dy 4/3 (1/2 - 1/3) + 1/4 = 17/36."""
+    (found,) = electrons.mixture()["ranges"]
+    x = 0.01
+    weight, mean, variance = (
+        np.array([np.polyval(part[f"{name}_coeffs"], x) for part in found["components"]])
+        for name in ("weight", "mean", "var")
+    )
+    assert weight.sum() == pytest.approx(1)
+    assert np.sum(weight * (1 - mean)) == pytest.approx(x, rel=0.01)
+    assert np.sum(weight * (variance + (1 - mean) ** 2)) == pytest.approx(17 / 36 * x, rel=0.02)
+    assert (np.diff(mean[1:]) < 0).all()
+
+
+def test_intervals_that_hold_the_truth_are_counted() -> None:
+    low, high = np.array([-1.0, 0.5, -2.0, -1.0, -1.0]), np.array([1.0, 2.0, -1.0, 0.0, np.nan])
+    assert electrons.covered(low, high) == 60  # an interval without an upper end (nan) holds all above its lower one
+
+
+def test_both_programs_fit_electrons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("acts")
+    monkeypatch.setattr(electrons, "EVENTS", 1)
+    detector = load(DETECTOR).with_field("uniform")
+    built = peers.geometry(peers.cylinders(detector), tmp_path)
+    theirs = electrons.run_acts(built, tmp_path, 1.0, 1, "eElectron")
+    ours, us = electrons.run_cgemit(detector, 1.0, 1, "e-")
+    assert set(theirs) == {"Kalman filter", "Gaussian-sum filter"}
+    assert us > 0
+    for off, error, time in theirs.values():
+        assert len(off) == len(error) > 90
+        assert abs(np.median(off)) < 0.01
+        assert time > 0
+    assert abs(np.median(ours["p"]) - 1) < 0.01
 
 
 def _cells(table: str) -> list[list[str]]:
