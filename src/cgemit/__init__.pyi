@@ -27,6 +27,8 @@ from .detector.alignment import AlignmentTable as AlignmentTable
 from .detector.detector import Detector as Detector
 from .detector.detector import load as load
 from .detector.files import detectors as detectors
+from .detector.inventory import MaterialScan as MaterialScan
+from .detector.inventory import material_scan as material_scan
 from .detector.readouts.apv25 import Apv25Readout as Apv25Readout
 from .detector.readouts.binary import BinaryReadout as BinaryReadout
 from .detector.readouts.gaussian import GaussianReadout as GaussianReadout

@@ -36,6 +36,7 @@ examples:
   cgemit resolution -d besiii-cgem-design -d besiii-idc --method both --cos-theta 0 --p 0.2:2.0:10 -o lines
   cgemit resolution -d besiii-cgem --particle pi+ --particle K+ --pt 0.2:1.0:5 --theta "60 deg" -o hadrons
   cgemit resolution -d besiii-cgem --set fit.loss=mean --p 0.2:2.0:10 -o mean-loss
+  cgemit resolution -d besiii-cgem --method analytic --map --p 0.2:3:15 --cos-theta -0.9:0.9:25 -o maps
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
 
@@ -69,6 +70,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="mc: points from simulated events (default); analytic: lines through at least 60 momenta between the "
         "first and the last, without events; both: lines and points",
     )  # fmt: skip
+    parser.add_argument(
+        "--map", action="store_true",
+        help="with --method analytic and lists of momenta and of cos(theta): draw the resolutions over both (map.png), "
+        "and write map.csv, instead of curves",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     options.add_output(parser, required=True)
     options.add_hypothesis(parser)
@@ -91,6 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
             )
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors, settings = options.load_inputs(arguments, _guns, one_track=True)
+    if arguments.map:
+        return _maps(arguments, detectors, settings)
     points, lines = _scans(arguments, detectors, settings)
     scans: list[Scan | AnalyticScan] = [*points, *lines]
     if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
@@ -102,6 +110,59 @@ def run(arguments: argparse.Namespace) -> int:
             options.warn_unmeasured(scan.detector, momenta)
     options.note(arguments, f"curves: {arguments.output}/resolution.png")
     return 0
+
+
+def _maps(arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings) -> int:
+    """Draw maps of the resolutions of a detector over momentum and cos(theta), and write their numbers."""
+    import numpy as np
+
+    from cgemit.base.files import new_folder
+    from cgemit.chain.record import record, write_about
+    from cgemit.covariance.analytic import analytic
+    from cgemit.draw.design import draw_maps
+    from cgemit.tables.show import write_csv
+
+    given = {"--p": arguments.p, "--cos-theta": arguments.cos_theta}
+    problems = [
+        f"{name}: got {value}; --map expects two values or more, as START:STOP:COUNT or A,B,C"
+        for name, value in given.items()
+        if not isinstance(value, list) or len(set(value)) < 2
+    ]
+    problems += ["--method: --map expects analytic"] if arguments.method != "analytic" else []
+    problems += ["-d: --map expects one detector"] if len(detectors) > 1 else []
+    problems += ["--particle: --map expects one particle"] if len(arguments.particle or []) > 1 else []
+    if problems:
+        raise options.InputError("\n".join(problems))
+    p, cosines = (np.unique(value) for value in given.values())
+    (detector,), particle = detectors, (arguments.particle or ["mu-"])[0]
+    found = analytic(
+        detector, particle, p[:, None], cosines, reveal_sides=settings.digitize.reveal_sides, fit=settings.fit,
+        threads=arguments.threads,
+    )  # fmt: skip
+    if not found.reached.any():
+        raise options.RunFailedError(f"{detector.name}: no track at any point has a covariance")
+    about = {"particle": str(particle), "p": p.tolist(), "cos_theta": cosines.tolist(), "method": "analytic"}
+    entries = record(
+        detectors={"detector": detector}, settings=settings, seed=arguments.seed, source=about, command=arguments.line
+    )
+    columns = {_header(name): column.tolist() for name, column in found.table().items()}
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as place:
+        write_csv(place / "map.csv", columns)
+        draw_maps(found).save(place / "map")
+        write_about(place, {"detector": detector}, entries)
+    options.say(f"{found}")
+    options.note(arguments, f"maps: {arguments.output}/map.png")
+    return 0
+
+
+def _header(name: str) -> str:
+    """Return the name of a column of a covariance's table with its unit."""
+    from cgemit.analysis.quantities import QUANTITIES
+
+    kind, _, quantity = name.partition("_")
+    if quantity in QUANTITIES and kind in ("sigma", "rms"):
+        return QUANTITIES[quantity].column(kind)
+    return {"p": "p (GeV/c)", "phi": "phi (rad)", "radius": "radius (mm)"}.get(name, name)
 
 
 def _unmeasured(scan: Scan | AnalyticScan) -> str:

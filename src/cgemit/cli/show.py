@@ -153,11 +153,16 @@ def _write(
     from cgemit.detector.delphes import card_of
     from cgemit.detector.export import write_files
     from cgemit.detector.files import CARD
-    from cgemit.draw.detector import draw_detector, draw_layers, draw_sides
+    from cgemit.detector.inventory import material_scan
+    from cgemit.draw.detector import draw_detector, draw_layers, draw_material, draw_sides
+    from cgemit.tables.show import write_csv
 
     with new_folder(folder, overwrite=overwrite) as place:
         draw_detector(detector).save(place / "r-phi")
         draw_sides(detector).save(place / "r-z")
+        scan = material_scan(detector)
+        draw_material(scan).save(place / "material")
+        write_csv(place / "material.csv", scan.columns())
         if detector.cgem:
             draw_layers(detector).save(place / "layers")
         write_files(place, {"detector.toml": detector})

@@ -18,7 +18,7 @@ from cgemit.base.errors import Problems
 from cgemit.covariance.losses import Losses
 from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
 from cgemit.detector import SCREENINGS, Detector
-from cgemit.detector.layers import Layer
+from cgemit.detector.inventory import part_of
 from cgemit.detector.matter import slabs
 from cgemit.fit_matter import unseen_cut
 from cgemit.reconstruction.fit import compiled_for_fit
@@ -168,11 +168,8 @@ def sources(detector: Detector) -> tuple[Source, ...]:
     if chamber is not None:
         found += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
     for slab in slabs(detector):
-        first = slab.shells[0]
-        of_layer = first.group not in ("pipe", "wall", "air", "gas")
-        inside = [layer.label for layer in detector.barrels if of_layer and _contains(layer, first.r_in)]
-        part = inside[0] if inside else first.group
-        name = f"{part} {first.group}" if inside else f"{first.group} {first.r_in:.5g} mm"
+        first, part = slab.shells[0], part_of(detector, slab)
+        name = f"{part} {first.group}" if part != first.group else f"{first.group} {first.r_in:.5g} mm"
         for cause, weight in ((SCATTERING, "x0"), (STRAGGLING, "xi")):
             total = getattr(slab, weight)
             shares: dict[str, float] = {}
@@ -181,11 +178,6 @@ def sources(detector: Detector) -> tuple[Source, ...]:
                 shares[material] = shares.get(material, 0.0) + getattr(shell, weight) / total
             found.append(Source(f"{name} {cause}", part, cause, tuple(shares.items())))
     return (*found, Source("prior", "prior", PRIOR))
-
-
-def _contains(layer: Layer, radius: float) -> bool:
-    shells = list(layer.shells())
-    return min(s.r_in for s in shells) <= radius + 1e-9 and radius < max(s.r_out for s in shells)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -4,8 +4,8 @@ from cgemit.draw.alignment import draw_constants, draw_modes, draw_residual_mean
 from cgemit.draw.chain_diagram import draw_chain
 from cgemit.draw.cluster import FormationPanel, draw_cluster, draw_formation, draw_projection
 from cgemit.draw.curves import ViewCurves, draw_finding, draw_readout, draw_refit, residual, resolutions
-from cgemit.draw.design import draw_budget, draw_budgets, draw_sensitivity
-from cgemit.draw.detector import draw_detector, draw_sides
+from cgemit.draw.design import draw_budget, draw_budgets, draw_maps, draw_sensitivity
+from cgemit.draw.detector import draw_detector, draw_material, draw_sides
 from cgemit.draw.display import event, event_3d, save_page
 from cgemit.draw.slab import draw_slab
 from cgemit.draw.style import Picture
@@ -22,6 +22,8 @@ __all__ = [
     "draw_detector",
     "draw_finding",
     "draw_formation",
+    "draw_maps",
+    "draw_material",
     "draw_modes",
     "draw_projection",
     "draw_readout",

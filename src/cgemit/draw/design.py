@@ -9,11 +9,12 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from cgemit.analysis.quantities import QUANTITIES
+from cgemit.analysis.quantities import QUANTITIES, quantity_of
 from cgemit.base.arrays import Floats
-from cgemit.covariance.result import Budget, By
+from cgemit.covariance.result import Budget, By, Covariance
 from cgemit.covariance.sensitivity import Sensitivity
 from cgemit.draw.style import (
     COLORS,
@@ -187,6 +188,86 @@ def _shares(budget: Budget, by: By, most: int) -> dict[str, Floats]:
         return {name: shares[name] for name in names}
     rest = np.sum([shares[name] for name in names[most:]], axis=0)
     return {name: shares[name] for name in names[:most]} | {_OTHER: rest}
+
+
+def draw_maps(covariance: Covariance, quantities: Sequence[str] = ("dr", "dz", "p"), *, hits: bool = True) -> Picture:
+    """Draw resolutions, and the mean number of hits, over momentum and cos(theta).
+
+    Parameters
+    ----------
+    covariance : Covariance
+        Of a grid: momenta along one axis of its points, cos(theta) along the other, each in order.
+    quantities : sequence of str
+        Names of `cgemit.analysis.quantities.QUANTITIES`, one panel each; core widths.
+    hits : bool
+        Whether to add a panel of clusters and wire hits.
+
+    Returns
+    -------
+    Picture
+        Points without a covariance are left white.
+
+    Raises
+    ------
+    ValueError
+        If the points are no grid of two momenta and two cosines or more.
+
+    Examples
+    --------
+    >>> found = cg.analytic("besiii-cgem", p=np.array([[0.3], [1.0]]), cos_theta=[-0.5, 0.0, 0.5])
+    >>> picture = cg.draw.draw_maps(found, ["dr"], hits=False)
+    >>> picture.axes[0].get_xlabel(), picture.axes[0].get_ylabel()
+    ('cos θ', 'p  (GeV/c)')
+    """
+    p, cosines = covariance.p, covariance.cos_theta
+    if p.ndim == 2 and len(p) and np.ptp(p[:, :1]) == 0:  # momenta along the second axis
+        p, cosines = p.T, cosines.T
+    rows, columns = (p[:, 0], cosines[0]) if p.ndim == 2 and p.size else (np.zeros(0), np.zeros(0))
+    whole = p.ndim == 2 and np.array_equal(p, np.broadcast_to(rows[:, None], p.shape))
+    whole = whole and np.array_equal(cosines, np.broadcast_to(columns, p.shape))
+    if not whole or len(rows) < 2 or len(columns) < 2 or (np.diff(rows) <= 0).any() or (np.diff(columns) <= 0).any():
+        raise ValueError(
+            f"draw_maps: got points of shape {covariance.p.shape}; expected a grid of two momenta and two cosines or "
+            "more, each in order"
+        )
+    known = [quantity_of(name) for name in quantities]
+    panels = [(f"{mathematical(one.sigma)}  ({shown(one.unit)})", covariance.sigma(one.name)) for one in known]
+    if hits:
+        panels.append((_MAP_OF_HITS, covariance.n_clusters + covariance.n_wires))
+    across = min(2, len(panels))
+    with style():
+        down = -(-len(panels) // across)
+        picture, every = new_picture(down, across, (0.4 + 5.2 * across, 0.5 + 3.6 * down))
+        picture.set_layout_engine("constrained")
+        for axes, (text, values) in zip(every, panels, strict=False):
+            cells = values if covariance.p.shape == p.shape and np.array_equal(covariance.p, p) else values.T
+            good = cells[np.isfinite(cells) & (cells > 0)]
+            wide = len(good) and good.max() > 5 * good.min() and text != "clusters and wire hits"
+            drawn = axes.pcolormesh(
+                columns,
+                rows,
+                cells,
+                cmap=_MAP,
+                shading="nearest",
+                norm=LogNorm(good.min(), good.max()) if wide else None,
+            )
+            picture.colorbar(drawn, ax=axes, label=text)
+            axes.set(xlabel="cos θ", ylabel="p  (GeV/c)", yscale="log" if rows[-1] > 5 * rows[0] else "linear")
+        for axes in every[len(panels) :]:
+            axes.set_visible(False)
+        title = f"{covariance.detector.name}, {covariance.particle}: core widths without events"
+        picture.suptitle(plain(title), x=0.02, ha="left", fontsize=10.5)
+    return picture
+
+
+_MAP_OF_HITS = "clusters and wire hits"
+
+
+def _plain_numbers(axis: Any) -> None:
+    """Label a logarithmic axis with 1, 2, 5, 10 ..."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def draw_sensitivity(sensitivity: Sensitivity, *, point: int = 0, most: int = 15) -> Picture:

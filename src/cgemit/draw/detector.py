@@ -1,10 +1,10 @@
-"""Pictures of a detector: r-phi, r-z, and the materials of one CGEM layer to scale."""
+"""Pictures of a detector: r-phi, r-z, matter against the angle, and the materials of one CGEM layer to scale."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,8 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Annulus, Patch, Rectangle
 
 from cgemit.detector import CgemLayer, Detector, Shell, WireLayer, load
+from cgemit.detector.inventory import MaterialScan, material_scan
 from cgemit.draw.event import chamber_begin, wire_layers, wire_positions, wire_profile
-from cgemit.draw.style import COLORS, Picture, new_picture, plain, style
+from cgemit.draw.style import COLORS, Picture, fills, grid, new_picture, plain, style
 
 _PARTS = {
     "beam pipe": "#B5651D",
@@ -93,6 +94,78 @@ def draw_sides(detector: Detector | str | Mapping[str, Any]) -> Picture:
         draw_rz(detector, axes[1], r_max=_inner_edge(detector))
         axes[1].set_title("inner part", pad=16)
         picture.tight_layout()
+    return picture
+
+
+Angle = Literal["cos_theta", "theta", "eta"]
+#: Label and values of the polar angle on an axis.
+ANGLES = {"cos_theta": ("cos θ", 1.0), "theta": ("θ  (deg)", 180 / math.pi), "eta": ("η", 1.0)}
+_HITS = {"cgem": "CGEM layers", "layers": "other layers of positions", "wires": "wire layers"}
+
+
+def draw_material(
+    scan: MaterialScan | Detector | str | Mapping[str, Any], against: Angle = "cos_theta", *, most: int = 8
+) -> Picture:
+    """Draw X/X0 by part as stacked areas, and the crossed layers, against the polar angle.
+
+    Parameters
+    ----------
+    scan : MaterialScan, or what `load` accepts
+        Of a detector: by part, at the angles of `material_scan`.
+    against : str
+        ``"cos_theta"``, ``"theta"`` (degrees) or ``"eta"``.
+    most : int
+        Parts that are drawn: those with the largest mean X/X0. The rest is one area, ``other``.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    ValueError
+        If `against` is not known, `most` is less than 1, or there are fewer than two angles.
+
+    Examples
+    --------
+    >>> picture = cg.draw.draw_material("besiii-cgem", "theta")
+    >>> [axes.get_ylabel() for axes in picture.axes]
+    ['X/X0  (%)', 'crossed layers']
+    """
+    scan = scan if isinstance(scan, MaterialScan) else material_scan(scan)
+    if against not in ANGLES or most < 1 or len(scan.cos_theta) < 2:
+        raise ValueError(
+            f"draw_material: got against {against!r}, most {most!r} and {len(scan.cos_theta)} angles; expected "
+            f"{', '.join(ANGLES)}, at least 1, and at least two angles"
+        )
+    text, factor = ANGLES[against]
+    x = factor * np.asarray(getattr(scan, against))
+    order = np.argsort(x, kind="stable")
+    names = sorted(scan.x0, key=lambda name: -float(scan.x0[name].mean()))
+    areas = {name: scan.x0[name] for name in names[:most]}
+    if names[most:]:
+        areas["other"] = np.sum([scan.x0[name] for name in names[most:]], axis=0)
+    with style():
+        width = 6.4 + 0.085 * max(map(len, [*areas, *_HITS.values()]))
+        picture, (matter, hits) = new_picture(2, 1, (width, 6.4), sharex=True, height_ratios=(2.2, 1))
+        low = np.zeros(len(x))
+        for (name, values), (colour, hatch) in zip(areas.items(), fills(len(areas)), strict=True):
+            colour, hatch = (COLORS["matter"], "") if name == "other" else (colour, hatch)
+            high = low + values[order]
+            matter.fill_between(x[order], low, high, fc=colour, hatch=hatch, ec="white", lw=0, label=plain(name))
+            low = high
+        matter.set(ylabel="X/X0  (%)", ylim=(0, None), xlim=(x.min(), x.max()))
+        matter.set_title(plain(f"{scan.detector}, straight tracks from the origin"), loc="left")
+        handles, labels = matter.get_legend_handles_labels()
+        matter.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), title=scan.by)
+        for name, counts in scan.hits.items():
+            hits.step(x[order], counts[order], where="mid", label=_HITS[name])
+        hits.set(xlabel=text, ylabel="crossed layers", ylim=(0, None))
+        hits.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+        for axes in (matter, hits):
+            grid(axes)
+        picture.align_ylabels()
+        picture.subplots_adjust(left=0.75 / width, right=5.7 / width, top=0.94, bottom=0.09, hspace=0.08)
     return picture
 
 

@@ -252,3 +252,32 @@ def test_the_mass_of_another_particle_is_refused(tmp_path, capsys):
     assert main([*words, "--hypothesis", "pi"]) == 2
     assert "fit.hypothesis: got pi for mu-" in capsys.readouterr().err
     assert main([*words, "--hypothesis", "mu"]) == 0
+
+
+def test_a_map_has_the_numbers_of_python(tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["resolution", "-d", DESIGN, "--method", "analytic", "--map", "--p", "1,0.3", "--cos-theta", "0,0.5"]
+    assert main([*words, "--particle", "pi-", "--set", "fit.loss=mean", "-o", str(out)]) == 0
+    expected = cg.analytic(
+        DESIGN, "pi-", p=np.array([[0.3], [1.0]]), cos_theta=[0.0, 0.5], fit=cg.FitSettings(loss="mean")
+    )
+    rows = rows_of(out / "map.csv")
+    assert [(row["p (GeV/c)"], row["cos_theta"]) for row in rows] == [
+        ("0.3", "0"), ("0.3", "0.5"), ("1", "0"), ("1", "0.5")
+    ]  # fmt: skip
+    for name, unit in UNITS.items():
+        column = [float(row[f"sigma_{name} ({unit})"]) for row in rows]
+        np.testing.assert_allclose(column, expected.sigma(name).ravel(), rtol=1e-6)
+    assert str(expected) in capsys.readouterr().out
+    files = {path.name for path in out.iterdir() if path.name != ".cgemit"}
+    assert files == {"map.csv", "map.png", "map.pdf", "detector.toml", "run.json"}
+    assert json.loads((out / "run.json").read_text())["source"]["p"] == [0.3, 1.0]
+
+
+def test_a_map_says_all_that_it_needs(tmp_path, capsys):
+    words = ["resolution", "-d", DESIGN, "-d", IDC, "--map", "--p", "1", "--cos-theta", "0:0.5"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    for text in ("--p: got 1.0", "--cos-theta: got (0.0, 0.5)", "--method", "one detector"):
+        assert text in said
+    assert not (tmp_path / "out").exists()

@@ -1,17 +1,20 @@
 """The sub-commands detectors, show and validate."""
 
+import csv
 import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 from cgemit.cli import options
 from cgemit.cli.main import build_parser
 from cgemit.cli.show import text
 from cgemit.detector import DetectorError, describe, load, slabs
+from cgemit.detector.inventory import material_scan
 
 MATTER = """\
 part          from r/mm  to r/mm  X/X0 %   sum %
@@ -88,8 +91,12 @@ def test_show_prints_tables_and_draws(capsys: pytest.CaptureFixture[str], tmp_pa
     assert rows["20"][:3] == ["20", "160", "1772"]
     assert "chamber gas" in printed
     names = {path.name for path in folder.iterdir()}
-    pictures = {f"{name}.{end}" for name in ("r-phi", "r-z", "layers") for end in ("png", "pdf")}
-    assert names == {*pictures, "detector.toml", "summary.json", ".cgemit"}
+    pictures = {f"{name}.{end}" for name in ("r-phi", "r-z", "layers", "material") for end in ("png", "pdf")}
+    assert names == {*pictures, "detector.toml", "summary.json", "material.csv", ".cgemit"}
+    with (folder / "material.csv").open(encoding="utf-8") as stream:
+        rows_of_angles = list(csv.DictReader(stream))
+    angles, total = ([float(row[name]) for row in rows_of_angles] for name in ("cos_theta", "x0 (%)"))
+    np.testing.assert_allclose(total, material_scan("besiii-cgem", list(angles)).total, rtol=1e-5)
     assert load(folder / "detector.toml") == load("besiii-cgem")
 
 

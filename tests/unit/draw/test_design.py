@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.draw import draw_budget, draw_sensitivity
+from cgemit.draw import draw_budget, draw_maps, draw_sensitivity
 from cgemit.draw.design import draw_sweep
 from cgemit.draw.design import label as label_of_design
 from cgemit.study import Evaluation, Sweep, latin_hypercube, sweep
@@ -288,3 +288,28 @@ def test_budgets_of_variants_are_bars_that_add_up_to_the_variance() -> None:
     )
     with pytest.raises(ValueError, match="expected one of dr, dz"):
         sweep(DESIGN_SWEEP, [{}], evaluate=strips).draw_budgets()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_maps_are_the_resolutions_of_a_grid(turned):
+    p, cosines = np.array([0.2, 0.5, 2.0]), np.array([-0.7, 0.0, 0.2, 0.6])
+    grid = (p[None, :], cosines[:, None]) if turned else (p[:, None], cosines)
+    found = cg.analytic(DESIGN, "mu-", *grid, samples=8)
+    picture = draw_maps(found, ["dr", "p"])
+    values = [found.sigma("dr"), found.sigma("p"), found.n_clusters + found.n_wires]
+    panels = [axes for axes in picture.axes if axes.get_xlabel() == "cos θ"]
+    bars = [axes.get_ylabel() for axes in picture.axes if axes.get_ylabel() not in ("", "p  (GeV/c)")]
+    assert len(panels) == 3
+    assert [bar.rpartition("  ")[2] for bar in bars] == ["(µm)", "(MeV/c)", "clusters and wire hits"]
+    for axes, expected in zip(panels, values, strict=True):
+        (mesh,) = axes.collections
+        np.testing.assert_allclose(mesh.get_array(), expected.T if turned else expected)
+        assert axes.get_ylabel() == "p  (GeV/c)"
+        assert axes.get_yscale() == "log"
+    assert DESIGN in picture.get_suptitle()
+
+
+@pytest.mark.parametrize("points", [(1.0, 0.0), ([0.3, 1.0], 0.0), (np.array([[1.0], [0.3]]), [0.0, 0.5])])
+def test_maps_need_a_grid(points):
+    with pytest.raises(ValueError, match="a grid of two momenta and two cosines or more, each in order"):
+        draw_maps(cg.analytic(DESIGN, "mu-", *points, samples=4))

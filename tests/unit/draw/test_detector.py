@@ -7,7 +7,8 @@ import pytest
 from matplotlib.patches import Annulus, Rectangle
 
 from cgemit.detector import detectors, load
-from cgemit.draw.detector import draw_detector, draw_layer, draw_layers, draw_rz, draw_sides, draw_xy
+from cgemit.detector.inventory import material_scan
+from cgemit.draw.detector import draw_detector, draw_layer, draw_layers, draw_material, draw_rz, draw_sides, draw_xy
 
 #: Each has other parts; the other presets are variants of them.
 DIFFERENT = {"besiii-cgem", "stcf-like", "kloe2-like"}
@@ -101,3 +102,28 @@ def test_layers_that_measure_nothing_are_drawn_as_walls() -> None:
     shell, measuring = detector.layer["SHELL"], detector.layer["VTX1"]
     assert colors[round(shell.r_out, 3)] != colors[round(measuring.r_out, 3)]
     assert "wall" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize(("against", "label"), [("cos_theta", "cos θ"), ("theta", "θ  (deg)"), ("eta", "η")])
+def test_matter_is_drawn_as_it_is(against: str, label: str) -> None:
+    scan = material_scan("belle2-like", np.linspace(-0.9, 0.9, 31))
+    picture = draw_material(scan, against, most=5)  # type: ignore[arg-type]
+    matter, hits = picture.axes
+    x = {"cos_theta": scan.cos_theta, "theta": np.degrees(scan.theta), "eta": scan.eta}[against]
+    order = np.argsort(x)
+    names = sorted(scan.x0, key=lambda name: -scan.x0[name].mean())
+    expected = {name: scan.x0[name] for name in names[:5]} | {"other": sum(scan.x0[name] for name in names[5:])}
+    low = np.zeros(len(x))
+    assert [str(area.get_label()) for area in matter.collections] == list(expected)
+    for area, values in zip(matter.collections, expected.values(), strict=True):
+        vertices = np.concatenate([path.vertices for path in area.get_paths()])
+        top = [vertices[np.isclose(vertices[:, 0], one), 1].max() for one in x[order]]
+        np.testing.assert_allclose(top, low + values[order], rtol=1e-9)
+        low = low + values[order]
+    np.testing.assert_allclose(low, scan.total[order])
+    for line, counts in zip(hits.lines, scan.hits.values(), strict=True):
+        np.testing.assert_allclose(line.get_xdata(), x[order])
+        assert np.asarray(line.get_ydata()).tolist() == counts[order].tolist()
+    assert hits.get_xlabel() == label
+    with pytest.raises(ValueError, match="expected cos_theta, theta, eta"):
+        draw_material(scan, "phi")  # type: ignore[arg-type]
