@@ -71,7 +71,7 @@ def taken(record: Record, path: Path, charges: Mapping[int, int], name: str) -> 
     """Return the columns of the particles that are simulated: final ones, and charged ones that decay in the detector.
 
     A warning counts particles whose charge or mass is not known, which are taken as neutral, and the decays that are
-    taken and left out.
+    taken and left out. Neither counts particles that are no rows whatever their charge, such as strings and clusters.
 
     Parameters
     ----------
@@ -84,14 +84,15 @@ def taken(record: Record, path: Path, charges: Mapping[int, int], name: str) -> 
         Of the column with the numbers of the particles in their events.
     """
     columns = record.columns
-    charge, mass = _charge_and_mass(columns, path, charges)
     start, end = (np.stack([columns[prefix + axis] for axis in "xyz"]) for prefix in ("", "end_"))
     momentum = np.sqrt(sum(columns[f"p{axis}"] ** 2 for axis in "xyz"))
     final = columns["status"] == _FINAL
     flight = np.sqrt(((end - start) ** 2).sum(axis=0))
-    flies = (columns["status"] == _DECAYED) & (charge != 0) & (flight > 0)  # NaN: no decay
-    radius = np.maximum(np.hypot(*start[:2]), np.hypot(*end[:2]))
-    decays = flies & (radius > INNERMOST) & (mass > 0) & (momentum > 0)
+    far = np.maximum(np.hypot(*start[:2]), np.hypot(*end[:2])) > INNERMOST
+    flies = (columns["status"] == _DECAYED) & (flight > 0)  # NaN: no decay
+    charge, mass = _charge_and_mass(columns, path, charges, final | (flies & far))
+    flies &= charge != 0
+    decays = flies & far & (mass > 0) & (momentum > 0)
     _tell_decays(path, int(decays.sum()), int((flies & ~decays).sum()))
     # The chord and the speed give the time where the record has none, or one that the chord is too long for.
     duration = columns["end_time"] - columns["time"]
@@ -99,6 +100,10 @@ def taken(record: Record, path: Path, charges: Mapping[int, int], name: str) -> 
     least = flight / np.maximum(speed, 1e-300)
     duration = np.where(duration > 0.5 * least, duration, least)
     rows = np.flatnonzero(final | decays)
+    if not len(rows) and len(final):
+        counts = Counter(columns["status"].tolist()).most_common(5)
+        given = ", ".join(f"{status} ({count})" for status, count in counts)
+        _refuse(path, None, f"no particle of status {_FINAL} among {len(final)}, statuses {given}", "final particles")
     out = {key: columns[key][rows] for key in ("event", "pdg", "x", "y", "z", "px", "py", "pz", "time", "parent")}
     out |= {"charge": charge[rows], "mass": mass[rows], name: columns["number"][rows]}
     if decays.any():
@@ -116,8 +121,10 @@ def _tell_decays(path: Path, taken: int, left: int) -> None:
         warnings.warn(f"{path}: of the charged particles of status 2, {' and '.join(parts)}", stacklevel=5)
 
 
-def _charge_and_mass(columns: Mapping[str, Array], path: Path, charges: Mapping[int, int]) -> tuple[Array, Array]:
-    """Return the charge (int64, e) and mass (GeV/c2) of each particle."""
+def _charge_and_mass(
+    columns: Mapping[str, Array], path: Path, charges: Mapping[int, int], used: Array
+) -> tuple[Array, Array]:
+    """Return the charge (int64, e) and mass (GeV/c2) of each particle; warn of unknown ones among those `used`."""
     pdg, given = columns["pdg"], columns.get("charge")
     numbers, place = np.unique(pdg, return_inverse=True)
     found = [charges.get(int(one), charge_of(int(one))) for one in numbers]
@@ -128,7 +135,6 @@ def _charge_and_mass(columns: Mapping[str, Array], path: Path, charges: Mapping[
         from_file = ~np.isin(pdg, [*KNOWN, *charges]) & np.isfinite(given) & (given == np.rint(given))
         charge, known = np.where(from_file, np.rint(given), charge).astype(np.int64), known | from_file
     mass = np.where(np.isnan(usual), columns["mass"], usual)
-    used = np.isin(columns["status"], (_FINAL, _DECAYED))
     unknown, massless = used & ~known, used & (charge != 0) & ~(mass > 0)
     for rows, what in ((unknown, "charge"), (massless, "mass")):
         if not rows.any():
@@ -414,7 +420,9 @@ def _vertex_positions(vertices: Array, event: Array, born: Array, mother: Array,
 
 
 def read_edm4hep(path: Path) -> Record:
-    """Return the particles of the collection ``MCParticles`` of an EDM4hep file, and its event headers.
+    """Return the particles of an EDM4hep file, and its event headers.
+
+    Particles are those of the collection ``MCParticles``, or of the only one that has statuses of a generator.
 
     Parameters
     ----------
@@ -426,9 +434,13 @@ def read_edm4hep(path: Path) -> Record:
         If the file is damaged, or lacks a branch.
     """
     tree = _tree(path, "events")
+    found = _collections(tree)
+    collection = "MCParticles" if "MCParticles" in found else found[0]
+    if collection != "MCParticles" and len(found) > 1:
+        _refuse(path, None, f"collections of particles {', '.join(found)}", "one, or one of the name MCParticles")
 
     def read(name: str) -> tuple[Array, Array]:
-        lists = _lists(path, tree, f"MCParticles.{name}")
+        lists = _lists(path, tree, f"{collection}.{name}")
         return np.concatenate(lists) if len(lists) else np.empty(0), np.array([len(one) for one in lists], np.int64)
 
     pdg, sizes = read("PDG")
@@ -443,7 +455,7 @@ def read_edm4hep(path: Path) -> Record:
     columns["number"] = np.arange(len(pdg)) - np.repeat(first, sizes)
     columns["end_time"] = np.full(len(pdg), np.nan)
     columns["parent"] = np.full(len(pdg), -1)
-    if (index := _relation(tree)) is not None:
+    if (index := _relation(tree, collection)) is not None:
         begin, stop = (read(f"parents_{end}")[0].astype(np.int64) for end in ("begin", "end"))
         links = _lists(path, tree, index)
         offsets = np.repeat(np.cumsum([0, *(len(one) for one in links[:-1])]), sizes)
@@ -466,9 +478,16 @@ def read_edm4hep(path: Path) -> Record:
     return Record(columns, events)
 
 
-def _relation(tree: Any) -> str | None:
+def _collections(tree: Any) -> list[str]:
+    """Return the names of the collections of generated particles in a tree of EDM4hep."""
+    ending = ".generatorStatus"
+    found = [name.removesuffix(ending) for name in _branches(tree) if name.endswith(ending)]
+    return [name for name in found if not (name.startswith("n") and name[1:] in found)]  # n...: counters of uproot
+
+
+def _relation(tree: Any, collection: str) -> str | None:
     """Return the branch of the indexes of mothers, under the name of any version of podio."""
-    names = ("_MCParticles_parents.index", "MCParticles#0.index")
+    names = (f"_{collection}_parents.index", f"{collection}#0.index")
     return next((name for name in names if _has(tree, name)), None)
 
 
@@ -492,7 +511,7 @@ def kind_of_root(path: Path) -> str:
                 return "cgemit"
             if "hepmc3_tree" in names:
                 return "hepmc"
-            return "edm4hep" if "events" in names and _has(file["events"], "MCParticles.PDG") else "other"
+            return "edm4hep" if "events" in names and _collections(file["events"]) else "other"
     except (OSError, ValueError, KeyError) as error:
         if isinstance(error, FileNotFoundError | ImportError):
             raise
@@ -508,7 +527,12 @@ def _has(tree: Any, name: str) -> bool:
 
 
 def _branch(tree: Any, name: str) -> Any:
-    return next((branch for branch in tree.itervalues(recursive=True) if branch.name == name), None)
+    return _branches(tree).get(name)
+
+
+def _branches(tree: Any) -> dict[str, Any]:
+    """Return the branches of a TTree, or the fields of an RNTuple, by name without the branches around them."""
+    return {name.rpartition("/")[2]: branch for name, branch in tree.iteritems(recursive=True)}
 
 
 def _values(path: Path, tree: Any, name: str) -> Array:

@@ -7,6 +7,7 @@ import gzip
 import lzma
 import re
 import tracemalloc
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -764,3 +765,45 @@ def test_edm4hep(tmp_path):
     assert found["decay_time"] == pytest.approx([np.inf, flight, np.inf])
     assert events["number"].tolist() == [12, 13]
     assert events["weight"].tolist() == [0.25, 1]
+
+
+EDM = {
+    "PDG": [13], "generatorStatus": [1], "charge": [-1.0], "mass": [0.10566], "time": [0.0],
+    **{f"{one}.{axis}": [0.0] for one in ("vertex", "endpoint") for axis in "xyz"},
+    **{f"momentum.{axis}": [0.5] for axis in "xyz"}, "parents_begin": [0], "parents_end": [0],
+}  # fmt: skip
+
+
+def write_edm4hep(path, *collections, **changes):
+    """Write one event with collections of generated particles of these names."""
+    values = EDM | changes
+    tree = {f"{name}.{key}": ak.Array([value]) for name in collections for key, value in values.items()}
+    with uproot.recreate(path) as file:
+        fill_tree(file, "events", tree)
+    return path
+
+
+def test_edm4hep_particles_of_another_collection(tmp_path):
+    """The only one with statuses of a generator, or MCParticles; several others are named."""
+    assert len(particles_from(write_edm4hep(tmp_path / "one.root", "GenParticles"))) == 1
+    assert len(particles_from(write_edm4hep(tmp_path / "two.root", "GenParticles", "MCParticles"))) == 1
+    several = write_edm4hep(tmp_path / "several.root", "A", "B")
+    with pytest.raises(ParticleError, match="got collections of particles A, B, expected one, or one of the name MCP"):
+        particles_from(several)
+
+
+def test_a_record_without_final_particles_is_refused(tmp_path):
+    path = write_edm4hep(tmp_path / "none.root", "MCParticles", generatorStatus=[62])
+    with pytest.raises(ParticleError, match=r"got no particle of status 1 among 1, statuses 62 \(1\), expected final"):
+        particles_from(path)
+
+
+@pytest.mark.parametrize(("end", "told"), [(0.0, False), (200.0, True)])
+def test_unknown_charges_count_where_a_track_could_be(tmp_path, end, told):
+    """A cluster of status 2 (PDG number 91) that ends where it begins is no row whatever its charge."""
+    changes = {name: [*value, *value] for name, value in EDM.items()} | {"PDG": [91, 13], "generatorStatus": [2, 1]}
+    changes |= {"endpoint.x": [end, 0.0], "charge": [float("nan"), -1.0]}
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        assert len(particles_from(write_edm4hep(tmp_path / "a.root", "MCParticles", **changes))) == 1
+    assert any("whose charge is not known" in str(one.message) for one in found) == told
