@@ -213,13 +213,13 @@ def _theta_slopes(h: Columns) -> dict[str, Floats]:
 QUANTITIES: Mapping[str, Quantity] = {
     one.name: one
     for one in (
-        Quantity("dr", "mm", "um", 1000.0, "d_ρ", ("d_rho", "drho")),
-        Quantity("dz", "mm", "mm", 1.0, "d_z"),
+        Quantity("dr", "mm", "um", 1000.0, "d_ρ", ("d_rho", "drho", "d0")),
+        Quantity("dz", "mm", "mm", 1.0, "d_z", ("z0",)),
         Quantity("p", "GeV/c", "MeV/c", 1000.0, "p", (), _p, _p_slopes),
         Quantity("pt", "GeV/c", "MeV/c", 1000.0, "p_T", ("pT",), _pt, _pt_slopes),
         Quantity("p_rel", "", "%", 100.0, "p", ("p/p",), _p, _p_slopes, relative=True),
         Quantity("pt_rel", "", "%", 100.0, "p_T", ("pt/pt", "pT/pT"), _pt, _pt_slopes, relative=True),
-        Quantity("phi0", "rad", "mrad", 1000.0, "φ₀", ("phi_0",)),
+        Quantity("phi0", "rad", "mrad", 1000.0, "φ₀", ("phi_0", "phi")),
         Quantity("theta", "rad", "mrad", 1000.0, "θ", (), _theta, _theta_slopes),
         Quantity("tanl", "", "1e-3", 1000.0, "tan λ", ("tan_lambda", "tan(lambda)")),
         Quantity("kappa", "1/(GeV/c)", "1/(GeV/c)", 1.0, "κ", reported=False),

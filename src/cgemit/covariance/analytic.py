@@ -25,6 +25,7 @@ from cgemit.covariance.tracks import (
     near_ends,
     points_of,
     sample_of,
+    shot_of,
 )
 from cgemit.detector import Detector, ReadoutGroup, load
 from cgemit.detector.keys import once
@@ -118,9 +119,12 @@ Alignment = Callable[[Tracks], Floats]
 def analytic(
     detector: Detector | str | Mapping[str, Any],
     particle: str | int = "mu-",
-    p: Quantity = 1.0,
-    cos_theta: Quantity = 0.0,
+    p: Quantity | None = None,
+    cos_theta: Quantity | None = None,
     *,
+    pt: Quantity | None = None,
+    theta: Quantity | None = None,
+    eta: Quantity | None = None,
     phi: Quantity | None = None,
     radius: Quantity | None = None,
     charge: npt.ArrayLike | None = None,
@@ -141,8 +145,13 @@ def analytic(
         Name or number of the Particle Data Group.
     p : float, str, array_like or tuple of two, GeV/c
         Momentum at the origin. A tuple is a range, over which each point is averaged uniformly; an array holds points.
+        None: 1 GeV/c, unless `pt` is given.
     cos_theta : float, array_like or tuple of two
-        Cosine of the polar angle, likewise.
+        Cosine of the polar angle, likewise. None: 0, unless `theta` or `eta` is given.
+    pt : float, str or array_like, GeV/c
+        Transverse momentum, in place of `p`; with fixed angles.
+    theta, eta : float, str or array_like, rad and 1
+        Polar angle or pseudorapidity, in place of `cos_theta`.
     phi : float, str, array_like or None, rad
         Azimuth of the momentum; None: averaged over the full circle.
     radius : float, str, array_like or None, mm
@@ -201,6 +210,7 @@ def analytic(
         raise ValueError(f"threads: got {threads!r:.60}, expected a whole number from 1 to {2**15}")
     if readout is not None:
         detector = detector.with_readout(readout)
+    p, cos_theta = shot_of(p, pt, cos_theta, theta, eta)
     points = points_of(particle, p, cos_theta, phi, radius, charge, mass, samples)
     return covariance_at(points, detector, DigitizeSettings(reveal_sides=reveal_sides), fit, threads, alignment)
 

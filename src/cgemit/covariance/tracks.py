@@ -380,6 +380,49 @@ def _points(
     return Points(kind.name, *limits, charges, masses, at, None if samples is None else int(samples))
 
 
+def shot_of(
+    p: Quantity | None, pt: Quantity | None, cos_theta: Quantity | None, theta: Quantity | None, eta: Quantity | None
+) -> tuple[Quantity, Quantity]:
+    """Return momentum and cosine of the polar angle, 1 GeV/c and 0 if nothing is given.
+
+    Parameters
+    ----------
+    p, pt, cos_theta, theta, eta
+        As of `analytic`.
+
+    Raises
+    ------
+    ValueError
+        If two of a kind are given, or ranges where numbers are needed; listing every problem.
+    """
+    problems = Problems()
+    for given in ({"p": p, "pt": pt}, {"cos_theta": cos_theta, "theta": theta, "eta": eta}):
+        names = [name for name, value in given.items() if value is not None]
+        if len(names) > 1:
+            problems.note(" and ".join(names), "both" if len(names) == 2 else "all", "one of them")
+    for name, value in {"pt": pt, "theta": theta, "eta": eta}.items():
+        if isinstance(value, tuple):
+            problems.note(name, f"the range {value!r:.60}", "numbers; ranges are those of p and cos_theta")
+    if pt is not None and isinstance(cos_theta, tuple):
+        problems.note("cos_theta", f"the range {cos_theta!r:.60}", "fixed angles, since pt is given")
+    problems.report("analytic")
+    if theta is not None:
+        angles = _numbers("theta", theta, "angle", problems)
+        if not ((angles > 0) & (angles < np.pi)).all():
+            problems.note("theta", f"{theta!r:.60}", "angles between 0 and pi rad")
+        cos_theta = np.cos(angles)
+    elif eta is not None:
+        cos_theta = np.tanh(_numbers("eta", eta, "", problems))
+    cos_theta = 0.0 if cos_theta is None else cos_theta
+    if pt is not None:
+        transverse = _numbers("pt", pt, "momentum", problems)
+        cosines = _numbers("cos_theta", cos_theta, "", problems)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            p = transverse / np.sqrt(1 - cosines * cosines)
+    problems.report("analytic")
+    return 1.0 if p is None else p, cos_theta
+
+
 _points_once = functools.lru_cache(maxsize=64, typed=True)(_points)
 
 

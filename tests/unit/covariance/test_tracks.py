@@ -703,3 +703,46 @@ def test_points_in_a_field_map_do_not_depend_on_others() -> None:
         assert both.sigma_dr[0] == pytest.approx(alone.sigma_dr[0], rel=1e-9), name
         for one, other in budgets:
             np.testing.assert_allclose(other, one, rtol=1e-9, err_msg=name)
+
+
+def test_momenta_and_angles_by_other_names() -> None:
+    """60 deg is cos(theta) 0.5; eta 1 is cos(theta) tanh(1); pT 0.6 at cos(theta) 0.6 is p = 0.75 GeV/c."""
+    name = "besiii-cgem-design"
+    expected = cg.analytic(name, p=0.75, cos_theta=0.5)
+    for same in (
+        cg.analytic(name, p="750 MeV/c", theta="60 deg"),
+        cg.analytic(name, p=0.75, theta=math.pi / 3),
+        cg.analytic(name, p=0.75, eta=math.atanh(0.5)),
+        cg.analytic(name, pt=0.75 * math.sqrt(0.75), cos_theta=0.5),
+    ):
+        np.testing.assert_allclose(same.cov, expected.cov, rtol=1e-9)
+    grid = cg.analytic(name, pt=[[0.3], [0.6]], theta=["90 deg", "45 deg"])
+    np.testing.assert_allclose(grid.p, [[0.3, 0.3 * math.sqrt(2)], [0.6, 0.6 * math.sqrt(2)]])
+    np.testing.assert_allclose(grid.cos_theta, [[0, math.sqrt(0.5)]] * 2, atol=1e-12)
+    assert float(cg.analytic(name).p) == 1
+    assert float(cg.analytic(name).cos_theta) == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "texts"),
+    [
+        ({"p": 1.0, "pt": 0.5, "theta": 1.0, "eta": 0.1}, ("p and pt: got both", "theta and eta: got both")),
+        ({"cos_theta": 0.1, "theta": 1.0, "eta": 0.1}, ("cos_theta and theta and eta: got all",)),
+        ({"pt": (0.3, 1.0), "theta": (0.5, 1.0)}, ("pt: got the range", "theta: got the range")),
+        ({"pt": 0.5, "cos_theta": (0.0, 0.5)}, ("cos_theta: got the range",)),
+        ({"theta": "200 deg"}, ("theta: got '200 deg', expected angles between 0 and pi rad",)),
+        ({"pt": "1 mm"}, ("pt: got",)),
+    ],
+)
+def test_momenta_and_angles_that_make_no_sense(given: dict[str, Any], texts: tuple[str, ...]) -> None:
+    with pytest.raises(ValueError, match="analytic:") as caught:
+        cg.analytic("besiii-cgem-design", **given)
+    for text in texts:
+        assert text in str(caught.value)
+
+
+def test_names_that_physicists_type() -> None:
+    found = cg.analytic("besiii-cgem-design", p=[0.3, 1.0])
+    for name, same in {"d0": "dr", "z0": "dz", "phi": "phi0"}.items():
+        assert found.sigma(name).tolist() == found.sigma(same).tolist()
+        assert found.budget(name).total.tolist() == found.budget(same).total.tolist()
