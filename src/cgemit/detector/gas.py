@@ -525,7 +525,7 @@ def transport(gas: str, e_field: float, b_field: float) -> Transport:
 
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?")
-_TABLES, _FOOTER = "The gas tables follow:", "H Extr"
+_TABLES, _FOOTER = "The gas tables follow:", re.compile("H Extr|Thresholds")  # early versions have no H Extr
 _LARGEST_GAS_FILE = 200_000_000  # bytes
 
 
@@ -619,9 +619,10 @@ def read_gas_file(path: str | Path) -> GasFile:
     """
     text, problems = read_text(Path(path), _LARGEST_GAS_FILE), Problems()
     head, found, tail = text.partition(_TABLES)
-    body, _, tail = tail.partition(_FOOTER)
+    body, *rest = _FOOTER.split(tail, maxsplit=1)
+    tail = "".join(rest)
     size = re.search(r"Dimension\s*:\s*([TF])((?:\s+\d+){5})", head)
-    pressure = re.search(rf"PGAS\s*:\s*({_NUMBER.pattern})", tail)
+    pressure = re.search(rf"PGAS\s*[:=]\s*({_NUMBER.pattern})", tail)
     for name, one, expected in (
         (_TABLES, found, "this line, as in gas files of Garfield"),
         ("Dimension", size, "T or F and five whole numbers"),
@@ -650,6 +651,10 @@ def read_gas_file(path: str | Path) -> GasFile:
     right = int(np.argmin(np.abs(grids["E-B angles"] - math.pi / 2)))
     rows = numbers.reshape(fields, angles, magnetic, width)[:, right]
     along, across, aside, long, wide = (rows[..., i] for i in ((0, 1, 2, 3, 4) if plain else (0, 2, 4, 6, 8)))
+    for name, values in (("velocity", along), ("longitudinal diffusion", long), ("transverse diffusion", wide)):
+        if not values.any():
+            problems.note("gas tables", f"only zeros of the {name}", "a file with this table")
+    problems.report(str(path))
     torr = float(_numbers_of(pressure[1])[0])
     # Electric fields are divided by the pressure in Torr, magnetic fields are in 0.01 T, velocities in cm/us. Widths in
     # sqrt(cm) are multiplied by the root of the pressure.

@@ -715,7 +715,7 @@ def gas_file(path: Path, *, plain: bool, magnetic: int = 1, levels: int = 2) -> 
         f" Version   : 12\n GASOK bits: TFTTFTTTTTTFFFTTFFFF\n Identifier: Ar 90%, iC4H10 10%\n Dimension : {size}\n"
         f" E fields\n {fields}\n E-B angles\n 1.57079633E+00\n B fields\n 0.0E+00{' 1.0E+02' * (magnetic - 1)}\n"
         f" Mixture:\n 90. 10.\n The gas tables follow:\n{text}\n H Extr:     1    1\n"
-        " PGAS : 7.60000000E+02, TGAS : 2.93150000E+02\n",
+        " CMEAN = 0.00000000E+00, RHO   = 0.00000000E+00, PGAS  = 7.60000000E+02, TGAS  = 2.93150000E+02\n",
         encoding="utf-8",
     )
     return path
@@ -749,6 +749,20 @@ def test_a_gas_file_with_a_magnetic_field(tmp_path: Path) -> None:
     assert found.transport(2.0, 0.5).tan_lorentz == pytest.approx(0.25)
     with pytest.raises(ValueError, match=r"e_field: got 4 kV/cm.*\n?.*b_field: got 2 T|b_field: got 2 T"):
         found.transport(4.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(" H Extr:     1    1\n", " Thresholds:    1\n"), ("PGAS  =", "PGAS :"), ("PGAS  = 7.6", "PGAS=7.6")],
+)
+def test_gas_files_of_other_versions_of_garfield(tmp_path: Path, old: str, new: str) -> None:
+    """Early ones have no H Extr behind the tables, as ar_50_c2h6_50_B_angle.gas of Garfield++'s examples."""
+    path = gas_file(tmp_path / "ar.gas", plain=True)
+    expected = read_gas_file(path).transport(2.0)
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    assert read_gas_file(path).transport(2.0) == expected
 
 
 @pytest.mark.parametrize(
