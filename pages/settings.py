@@ -20,6 +20,7 @@ Rows = Sequence[Sequence[str]]
 SHORT = {
     r"one of ": "", r"zero or a positive number": "≥ 0", r"a positive number": "> 0", r"a finite number": "number",
     r"an? [\w ]+? above 0 and up to ": "> 0, ≤ ", r"an? \w+ in (\S+) above 0, up to (\S+)": r"> 0, ≤ \2 \1",
+    r"an? \w+ in (\S+) above ([^\s,]+)": r"> \2 \1", r"a number of at least ": "≥ ",
     r"an? [\w ]+? above 0, up to ": "> 0, ≤ ", r"an? \w+ in (\S+) from (\S+) to ([^\s,]+)": r"\2 to \3 \1",
     r"an? [\w ]+? from (\S+) to ": r"\1 to ",
 }  # fmt: skip

@@ -1,7 +1,8 @@
 """Validation: annotations of frozen dataclasses define the allowed values; one reader walks values and tables by path.
 
 Settings, guns, plans of studies and detector files are read with it. A field's annotation is a type, a `Literal`, a
-type with constraints (``Annotated[float, Check(...)]``, ``Annotated[ValueLike, Spread(...)]``), or a dataclass.
+type with a constraint (``Annotated[int, Whole(1, 50)]``, ``Annotated[float, Quantity("length", 0, 2000)]``), or a
+dataclass. A constraint writes the text that tells what is allowed.
 """
 
 from __future__ import annotations
@@ -53,8 +54,7 @@ def is_whole(given: object, least: int, most: int) -> bool:
 
 def check_whole(path: str, given: object, least: int, most: int, problems: Problems) -> None:
     """Note a value that is not a whole number within limits."""
-    if not is_whole(given, least, most):
-        problems.note(path, f"{given!r:.80}", f"a whole number from {least} to {most}")
+    Whole(least, most).read(path, given, problems)
 
 
 def check_seed(seed: object, problems: Problems) -> None:
@@ -111,8 +111,38 @@ NO: Any = _No()
 
 
 @dataclass(frozen=True)
+class Whole:
+    """Constraint of a whole number within limits, ends included."""
+
+    low: int
+    high: int
+
+    def expected(self) -> str:
+        """Return the allowed values as text."""
+        return f"a whole number from {self.low} to {self.high}"
+
+    def read(self, path: str, given: Any, problems: Problems) -> Any:
+        """Return a whole number of Python; NO, with the problem noted, if it is none within the limits."""
+        if is_whole(given, self.low, self.high):
+            return int(given)
+        problems.note(path, f"{given!r:.80}", self.expected())
+        return NO
+
+    def read_text(self, path: str, text: str, problems: Problems) -> Any:
+        """Return the whole number that a text such as ``12`` or ``1e4`` stands for; NO as in `read`."""
+        digits = text.strip().lstrip("+-").isdecimal()
+        try:
+            value = int(text) if digits else float(text)
+        except ValueError:
+            value = math.nan
+        if isinstance(value, float) and value.is_integer() and abs(value) <= 2**53:  # beyond, a float is not exact
+            value = int(value)
+        return self.read(path, value if is_whole(value, self.low, self.high) else text, problems)
+
+
+@dataclass(frozen=True)
 class Quantity:
-    """Constraint of a number in native units within limits; text with a unit is accepted, too.
+    """Constraint of a number in native units within limits; text is accepted, too, without a unit in the native one.
 
     Attributes
     ----------
@@ -120,30 +150,43 @@ class Quantity:
         Dimension, one of the keys of `cgemit.units.NATIVE`.
     low, high : float
         Limits in the native unit.
-    above : bool
-        Whether `low` itself is excluded.
+    above, below : bool
+        Whether `low` or `high` itself is excluded.
     """
 
-    kind: str
+    kind: str = "dimensionless"
     low: float = -math.inf
     high: float = math.inf
     above: bool = False
+    below: bool = False
 
     def admits(self, value: float) -> bool:
         """Return whether a number is finite and within the limits."""
-        return self.low <= value <= self.high and abs(value) < math.inf and not (self.above and value == self.low)
+        within = self.low <= value <= self.high and abs(value) < math.inf
+        return within and not (self.above and value == self.low) and not (self.below and value == self.high)
+
+    def limits(self) -> str:
+        """Return the limits as text, such as ``from 0 to 1``; nothing without any."""
+        low, high = f"{self.low:g}", f"{self.high:g}"
+        if self.low == -math.inf:
+            return ""
+        if self.high == math.inf:
+            return f"above {low}" if self.above else f"of at least {low}"
+        if self.above and self.below:
+            return f"between {low} and {high}"
+        if self.low == -self.high:
+            return f"within +-{high}"
+        if self.above:
+            return f"above {low}, up to {high}"
+        return f"from {low} to below {high}" if self.below else f"from {low} to {high}"
 
     def expected(self) -> str:
         """Return the allowed values as text."""
         unit = NATIVE[self.kind]
-        name = f"{_article(self.kind)} in {unit}" if unit else "a number"
-        if self.low == -math.inf:
-            return name if unit else "a finite number"
-        if self.low == -self.high:
-            return f"{name} within +-{self.high:g}"
-        if self.above:
-            return f"{name} above {self.low:g}, up to {self.high:g}"
-        return f"{name} from {self.low:g} to {self.high:g}"
+        if not unit and self.high == math.inf and self.low in (0, -math.inf):
+            signs = "a positive number" if self.above else "zero or a positive number"
+            return "a finite number" if self.low else signs
+        return f"{f'{_article(self.kind)} in {unit}' if unit else 'a number'} {self.limits()}".rstrip()
 
     def read(self, path: str, given: Any, problems: Problems) -> Any:
         """Return one number in native units; NO, with the problem noted, if it is none within the limits."""
@@ -163,7 +206,9 @@ class Quantity:
 
     def value(self, given: Any) -> float:
         """Return a value in native units; NaN if it is neither a number nor text."""
-        return parse_quantity(given, self.kind) if isinstance(given, str) else number(given)
+        if not isinstance(given, str):
+            return number(given)
+        return number_of(given, self.kind)
 
     def _in_degrees(self, given: Any, value: float) -> bool:
         return self.kind == "angle" and not isinstance(given, str) and self.admits(math.radians(value))
@@ -173,9 +218,57 @@ def _article(word: str) -> str:
     return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
 
+def number_of(text: str, kind: str) -> float:
+    """Return the number in native units that a text stands for; one without a unit is in the native one.
+
+    Raises
+    ------
+    QuantityError
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        return parse_quantity(text, kind)
+    if not math.isfinite(value):
+        raise QuantityError(f"{shown(text)} (not finite)", "a finite number")
+    return value
+
+
+#: Values of A:B:COUNT; more are a mistake.
+MOST_STEPS = 10_000
+#: Forms of the text of several values.
+LIST_FORMS = "a number, A,B,C or A:B:COUNT"
+FORMS = "a number, A:B, A,B,C or A:B:COUNT"
+
+
+def split_values(path: str, text: str, each: Quantity, problems: Problems) -> Any:
+    """Return the text of several values as Python has them; NO, with problems noted, if there are any.
+
+    ``A,B,C`` becomes a list of texts, ``A:B`` a pair of texts, and ``A:B:COUNT`` a list of numbers from A to B, ends
+    included. Any other text stays.
+    """
+    if "," in text:
+        return text.split(",")
+    parts = text.split(":")
+    if len(parts) <= 2:
+        return tuple(parts) if len(parts) == 2 else text
+    if len(parts) > 3:
+        problems.note(path, shown(text), FORMS)
+        return NO
+    start, stop = (Quantity.read(each, path, part, problems) for part in parts[:2])
+    count = Whole(1, MOST_STEPS).read_text(path, parts[2], problems)
+    if NO in (start, stop, count):
+        return NO
+    # Rounded, so that 0.2:2.0:10 is 0.2, 0.4, 0.6 and not 0.6000000000000001.
+    return [round(start + (stop - start) * i / (count - 1), 12) for i in range(count)] if count > 1 else [start]
+
+
 @dataclass(frozen=True)
 class Spread(Quantity):
-    """Constraint of a quantity: one number, (low, high) for a uniform range, or a list of values to use in turn."""
+    """Constraint of a quantity: one number, (low, high) for a uniform range, or a list of values to use in turn.
+
+    Text has the forms of the command line: ``A:B`` is a range, ``A,B,C`` and ``A:B:COUNT`` are values in turn.
+    """
 
     def read(self, path: str, given: Any, problems: Problems) -> Any:
         """Return a number, a pair, or the values in turn; NO, with problems noted, if there are any."""
@@ -183,6 +276,8 @@ class Spread(Quantity):
             given = list(given.values)
         if isinstance(given, np.ndarray):
             given = given.tolist()
+        if isinstance(given, str) and (given := split_values(path, given, self, problems)) is NO:
+            return NO
         if not isinstance(given, tuple | list):
             return super().read(path, given, problems)
         if isinstance(given, tuple) and len(given) != 2:
@@ -191,7 +286,7 @@ class Spread(Quantity):
         if not given:
             problems.note(path, "an empty list", "a list of at least one number")
             return NO
-        values = tuple(super(Spread, self).read(f"{path}[{i}]", one, problems) for i, one in enumerate(given))
+        values = tuple(super(Spread, self).read(f"{path}[{i}]", value, problems) for i, value in enumerate(given))
         if NO in values:
             return NO
         if isinstance(given, list):
@@ -204,21 +299,22 @@ class Spread(Quantity):
 
 @dataclass(frozen=True)
 class Axes(Spread):
-    """Constraint of three quantities along x, y and z, each as for `Spread`."""
+    """Constraint of three quantities along x, y and z, each as for `Spread`, or the text ``X,Y,Z``."""
 
     def read(self, path: str, given: Any, problems: Problems) -> Any:
         """Return three values; NO, with problems noted, if there are any."""
-        if not isinstance(given, tuple | list | np.ndarray) or len(given) != 3:
+        axes = given.split(",") if isinstance(given, str) else given
+        if not isinstance(axes, tuple | list | np.ndarray) or len(axes) != 3:
             problems.note(path, f"{given!r:.80}", "three, along x, y and z")
             return NO
         values = tuple(
-            super(Axes, self).read(joined(path, axis), one, problems) for axis, one in zip("xyz", given, strict=True)
+            super(Axes, self).read(joined(path, axis), value, problems) for axis, value in zip("xyz", axes, strict=True)
         )
         return NO if NO in values else values
 
 
 class Check(NamedTuple):
-    """The condition on a value beyond its type, for ``Annotated[float, Check(...)]``, a name of its own in a module.
+    """A condition that no other constraint has, for ``Annotated[str, Check(...)]``, a name of its own in a module.
 
     Inside a class the annotation is a text, and names defined there are not found when `fits` is called.
     """
@@ -227,8 +323,9 @@ class Check(NamedTuple):
     expected: str
 
 
-Positive = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive number")]
-NotNegative = Annotated[float, Check(lambda value: 0 <= value < math.inf, "zero or a positive number")]
+Positive = Annotated[float, Quantity(low=0, above=True)]
+NotNegative = Annotated[float, Quantity(low=0)]
+Momentum = Annotated[float, Quantity("momentum", 0, above=True)]
 
 
 def kinds_of(cls: type[Any]) -> Mapping[str, Any]:
@@ -287,13 +384,11 @@ def _read_optional(read: Reader, path: str, given: object, problems: Problems) -
     return None if given is None else read(path, given, problems)
 
 
-def constraint_of(kind: Any) -> Quantity | None:
-    """Return the constraint that reads the values of a kind itself, if it has one."""
-    for one in _members(kind):
-        found = get_args(one)[1] if get_origin(one) is Annotated else one
-        if isinstance(found, Quantity):
-            return found
-    return None
+def constraint_of(kind: Any) -> Quantity | Whole | None:
+    """Return the constraint that reads the values of a kind itself, but for None, if it has one."""
+    members = [member for member in _members(kind) if member is not type(None)]
+    found = get_args(members[0])[1] if len(members) == 1 and get_origin(members[0]) is Annotated else None
+    return found if isinstance(found, Quantity | Whole) else None
 
 
 def matcher(kind: Any) -> Callable[[object], Any]:
@@ -314,7 +409,7 @@ def matcher(kind: Any) -> Callable[[object], Any]:
 
 
 def _annotated(base: Any, *checks: Any) -> Callable[[object], Any]:
-    if isinstance(checks[0], Quantity):
+    if isinstance(checks[0], Quantity | Whole):
         return lambda given: checks[0].read("", given, Problems())
     match = matcher(base)
 
@@ -377,7 +472,7 @@ def expected(kind: Any) -> str:
     """Return the values of a kind as text."""
     if get_origin(kind) is Annotated:
         constraint = get_args(kind)[1]
-        return str(constraint.expected() if isinstance(constraint, Quantity) else constraint.expected)
+        return str(constraint.expected if isinstance(constraint, Check) else constraint.expected())
     if get_origin(kind) is Literal:
         return "one of " + ", ".join(map(repr, get_args(kind)))
     if _is_union(kind):
@@ -404,45 +499,44 @@ class Values(tuple[Any, ...]):
 class Listed(Quantity):
     """Constraint of one number or a list of numbers, kept as a tuple; with `ranges`, pairs (low, high) among them.
 
-    In files a pair is ``"LOW:HIGH"``.
+    Text has the forms of the command line: a pair is ``A:B``, a list ``A,B,C`` or ``A:B:COUNT``.
     """
 
     ranges: bool = False
 
     def expected(self) -> str:
         """Return the allowed values as text."""
-        return super().expected() + (', or "LOW:HIGH"' if self.ranges else "")
+        return super().expected() + (', or "A:B"' if self.ranges else "")
 
     def read(self, path: str, given: Any, problems: Problems) -> Any:
         """Return a tuple of numbers and pairs; NO, with problems noted, if there are any."""
         given = given.tolist() if isinstance(given, np.ndarray | np.generic) else given
+        if isinstance(given, str):
+            text = given
+            given = split_values(path, text, self, problems)
+            if given is NO:
+                return NO
+            if isinstance(given, tuple) and not self.ranges:
+                problems.note(path, f"{shown(text)}, a range", LIST_FORMS)
+                return NO
         listed = isinstance(given, list | Values) or (isinstance(given, tuple) and not self.ranges)
         if listed and not given:
             problems.note(path, "an empty list", "a list of at least one number")
         values = Values(
-            self._one(f"{path}[{i}]" if listed else path, one, problems)
-            for i, one in enumerate(given if listed else [given])
+            self._one(f"{path}[{i}]" if listed else path, value, problems)
+            for i, value in enumerate(given if listed else [given])
         )
         return NO if NO in values or not values else values
 
     def _one(self, path: str, given: Any, problems: Problems) -> Any:
         if not self.ranges:
             return super().read(path, given, problems)
-        pair = given
-        if isinstance(given, str) and given.count(":") == 1:
-            pair = tuple(_number_of(text) for text in given.split(":"))
+        pair = split_values(path, given, self, problems) if isinstance(given, str) else given
         if isinstance(pair, list):
-            problems.note(path, shown(pair), self.expected())
+            problems.note(path, shown(given), self.expected())
             return NO
-        return Spread(self.kind, self.low, self.high).read(path, pair, problems)
-
-
-def _number_of(text: str) -> Any:
-    """Return the number of a text; the text itself, which may have a unit, if it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
+        each = Spread(self.kind, self.low, self.high, self.above, self.below)
+        return NO if pair is NO else each.read(path, pair, problems)
 
 
 def check_fields(instance: Any, problems: Problems) -> None:

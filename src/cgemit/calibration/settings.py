@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal
 
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Positive
+from cgemit.base.validate import Positive, Whole
 from cgemit.calibration.constants import FIELD, LORENTZ, Constant, chosen, constants_of, priors_of
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import Pull
 
-Turns = Annotated[int, Check(lambda value: 1 <= value <= 50, "a whole number from 1 to 50")]
+Turns = Annotated[int, Whole(1, 50)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, ParamSpec, TextIO, TypeVar
 
-from cgemit.base.errors import did_you_mean
-from cgemit.units import QuantityError, parse_quantity
+from cgemit.base.errors import Problems, did_you_mean
+from cgemit.units import QuantityError
 
 if TYPE_CHECKING:
     from cgemit.base.progress import ProgressBar
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
 #: What a gun takes for a quantity: one number, a uniform range, or values in turn.
 Values = float | tuple[float, float] | list[float]
 
-_MOST_STEPS = 10_000  # values of A:B:N; more are a mistake
-
 
 def momenta(text: str) -> Values:
     """Read momenta in GeV/c or with a unit: a number, ``A:B`` (uniform), ``A:B:N`` (ends included) or ``A,B,C``."""
@@ -37,22 +34,47 @@ def cosines(text: str) -> Values:
     return _values(text, "dimensionless")
 
 
-def numbers(text: str) -> Values:
-    """Read numbers without a unit, as `momenta`."""
-    return _values(text, "dimensionless")
-
-
 def angles(text: str) -> Values:
     """Read angles in rad or with a unit, as `momenta`."""
     return _values(text, "angle")
 
 
-def triple(text: str) -> tuple[float, float, float]:
-    """Read three lengths, ``X,Y,Z``."""
-    found = _values(text, "length")
-    if not isinstance(found, list) or len(found) != 3:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected three lengths X,Y,Z")
-    return found[0], found[1], found[2]
+def listed_momenta(text: str) -> list[float]:
+    """Read momenta as `momenta`, but no range."""
+    return _listed_values(text, "momentum")
+
+
+def listed_angles(text: str) -> list[float]:
+    """Read angles as `angles`, but no range."""
+    return _listed_values(text, "angle")
+
+
+def listed_numbers(text: str) -> list[float]:
+    """Read numbers without a unit, but no range."""
+    return _listed_values(text, "dimensionless")
+
+
+def angle(text: str) -> float:
+    """Read one angle in rad or with a unit."""
+    return _one_value(text, "angle")
+
+
+def field(text: str) -> float:
+    """Read a magnetic field in T or with a unit."""
+    return _one_value(text, "field")
+
+
+def momentum(text: str) -> float:
+    """Read one momentum in GeV/c or with a unit."""
+    return _one_value(text, "momentum")
+
+
+def triple(text: str) -> tuple[Values, Values, Values]:
+    """Read lengths along x, y and z, ``X,Y,Z``; each may be a range ``A:B``."""
+    from cgemit.base.validate import Axes
+
+    x, y, z = _read(Axes("length").read, text)
+    return x, y, z
 
 
 def charges(text: str) -> dict[int, int]:
@@ -71,10 +93,15 @@ def names(text: str) -> tuple[str, ...]:
 
 def surfaces(text: str) -> tuple[float | str, ...]:
     """Read the surfaces of states, ``A,B,C``: a length is a radius, a name stays a name."""
-    try:
-        return tuple(part if part.isidentifier() else _number(part, "length") for part in names(text))
-    except QuantityError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+    from cgemit.base.validate import number_of
+
+    def surface(part: str) -> float | str:
+        try:
+            return number_of(part, "length")
+        except QuantityError:
+            return part  # a name, or what the setting refuses
+
+    return tuple(map(surface, names(text)))
 
 
 def positive(text: str) -> int:
@@ -94,64 +121,44 @@ def seed(text: str) -> int:
 
 def whole(text: str, least: int, most: int) -> int:
     """Read a whole number from `least` to `most`."""
-    try:
-        number = int(text) if text.strip().lstrip("+-").isdecimal() else _from_scientific(text)
-    except ValueError:
-        number = least - 1
-    if number < least:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
-    if number > most:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at most {most}")
-    return number
+    from cgemit.base.validate import Whole
 
-
-def _from_scientific(text: str) -> int:
-    """Return the whole number that a text such as ``1e4`` stands for."""
-    value = float(text)
-    if not value.is_integer() or abs(value) > 2**53:  # beyond, a float is not exact
-        raise ValueError(text)
-    return int(value)
+    return int(_read(Whole(least, most).read_text, text))
 
 
 def length(text: str) -> float:
     """Read a positive length, in mm; `160 um` or `0.16 mm`."""
-    value = _number(text, "length")
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length above 0")
-    return value
+    from cgemit.base.validate import Quantity
+
+    return float(_read(Quantity("length", 0, above=True).read, text))
+
+
+def _one_value(text: str, dimension: str) -> float:
+    from cgemit.base.validate import Quantity
+
+    return float(_read(Quantity(dimension).read, text))
 
 
 def _values(text: str, dimension: str) -> Values:
-    try:
-        if "," in text:
-            return [_number(part, dimension) for part in text.split(",")]
-        parts = text.split(":")
-        if len(parts) == 3:
-            count = whole(parts[2], 1, _MOST_STEPS)
-            return _steps(_number(parts[0], dimension), _number(parts[1], dimension), count)
-        numbers = [_number(part, dimension) for part in parts]
-    except QuantityError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    if len(numbers) > 2:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a number, A:B, A:B:COUNT or A,B,C")
-    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+    from cgemit.base.validate import InTurn, Spread
+
+    value = _read(Spread(dimension).read, text)
+    return list(value.values) if isinstance(value, InTurn) else value
 
 
-def _steps(start: float, stop: float, count: int) -> list[float]:
-    if count == 1:
-        return [start]
-    # Rounded, so that 0.2:2.0:10 is 0.2, 0.4, 0.6 and not 0.6000000000000001.
-    return [round(start + (stop - start) * i / (count - 1), 12) for i in range(count)]
+def _listed_values(text: str, dimension: str) -> list[float]:
+    from cgemit.base.validate import Listed
+
+    return list(_read(Listed(dimension).read, text))
 
 
-def _number(text: str, dimension: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        return parse_quantity(text, dimension)
-    if not math.isfinite(number):
-        raise QuantityError(f"{text!r} (not finite)", "a finite number")
-    return number
+def _read(read: Callable[[str, str, Problems], Any], text: str) -> Any:
+    """Return what a constraint makes of a text, as it does for settings, plans and guns."""
+    problems = Problems()
+    value = read("", text, problems)
+    if problems:
+        raise argparse.ArgumentTypeError("; ".join(map(str, problems)))
+    return value
 
 
 class InputError(ValueError):

@@ -43,27 +43,27 @@ _VALUES = {"bz": "0:1:5", "drift_field": "1:3:5", "gain": "5000,8000,12000,20000
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     options.add_readout(parser, default="tiger")
-    parser.add_argument("--bz", type=float, default=1.0, metavar="T", help="magnetic field, T (default 1)")
+    parser.add_argument("--bz", type=options.field, default=1.0, metavar="T", help="magnetic field, T (default 1)")
     parser.add_argument("--scan", choices=("angle", *_VALUES), default="angle", help="what varies (default angle)")
     parser.add_argument(
         "--values",
-        type=options.numbers,
+        type=options.listed_numbers,
         default=None,
         metavar="A:B:N",
         help="values of what varies, unless it is the angle",
     )
     parser.add_argument(
-        "--angle", type=options.angles, default=0.0, metavar="A", help="angle of the other scans (default 0)"
+        "--angle", type=options.angle, default=0.0, metavar="A", help="angle of the other scans (default 0)"
     )
     parser.add_argument(
         "--angles",
-        type=options.angles,
+        type=options.listed_angles,
         default=None,
         metavar="A:B:N",
         help=f'angles of incidence (default "{_ANGLES}")',
     )
     parser.add_argument("--particle", default="pi-", help="PDG name or number (default pi-)")
-    parser.add_argument("--p", type=float, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
+    parser.add_argument("--p", type=options.momentum, default=150.0, metavar="P", help="momentum, GeV/c (default 150)")
     parser.add_argument(
         "-n", "--events", type=options.positive, default=None, metavar="N",
         help="particles at each angle (default 4000), or in each design (3000)",
@@ -108,13 +108,6 @@ def _fit(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     return options.OK
 
 
-def _one_angle(arguments: argparse.Namespace) -> float:
-    """Return the angle of incidence, deg."""
-    if not isinstance(arguments.angle, float):
-        raise options.InputError("--angle: got several values, expected one such as 20 deg")
-    return _incidence("--angle", [arguments.angle])[0]
-
-
 def _incidence(option: str, angles: list[float]) -> list[float]:
     """Return angles of incidence in deg, from rad."""
     degrees = [float(value) for value in np.degrees(angles)]
@@ -130,26 +123,20 @@ def _incidence(option: str, angles: list[float]) -> list[float]:
 def _values(arguments: argparse.Namespace) -> list[float]:
     """Return the values of the scan in its unit."""
     if arguments.scan == "angle":
-        option, given = "--angles", options.angles(_ANGLES) if arguments.angles is None else arguments.angles
+        option, given = "--angles", arguments.angles or options.listed_angles(_ANGLES)
     else:
-        option, given = (
-            "--values",
-            options.numbers(_VALUES[arguments.scan]) if arguments.values is None else arguments.values,
-        )
-    if isinstance(given, tuple):
-        raise options.InputError(f"{option}: got a range, expected values, or A:B:N")
+        option, given = "--values", arguments.values or options.listed_numbers(_VALUES[arguments.scan])
     wrong = "--values" if arguments.scan == "angle" else "--angles"
     if (arguments.values if arguments.scan == "angle" else arguments.angles) is not None:
         raise options.InputError(f"{wrong}: got it with --scan {arguments.scan}, expected {option}")
-    values = [float(value) for value in np.atleast_1d(given)]
-    return _incidence(option, values) if arguments.scan == "angle" else values
+    return _incidence(option, given) if arguments.scan == "angle" else given
 
 
 def _scan(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     from cgemit.base.files import check_free
     from cgemit.study.readout.scan import scan
 
-    values, angle = _values(arguments), _one_angle(arguments)
+    values, angle = _values(arguments), _incidence("--angle", [arguments.angle])[0]
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
     with options.progress_bar(arguments, "readout") as progress:

@@ -48,8 +48,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="PDG name or number (default mu-); repeat it to compare particles",
     )  # fmt: skip
     momentum = parser.add_mutually_exclusive_group(required=True)
-    momentum.add_argument("--p", type=options.momenta, metavar="VALUES", help="momenta, GeV/c")
-    momentum.add_argument("--pt", type=options.momenta, metavar="VALUES", help="transverse momenta, GeV/c")
+    momentum.add_argument("--p", type=options.listed_momenta, metavar="VALUES", help="momenta, GeV/c")
+    momentum.add_argument("--pt", type=options.listed_momenta, metavar="VALUES", help="transverse momenta, GeV/c")
     polar = parser.add_mutually_exclusive_group()
     polar.add_argument(
         "--cos-theta", type=options.cosines, metavar="LO:HI|VALUE",
@@ -90,11 +90,6 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.base.files import check_free
     from cgemit.study.scan import save_scans, summary_of
 
-    for name in ("p", "pt"):
-        if isinstance(getattr(arguments, name), tuple):
-            raise options.InputError(
-                f"--{name}: got a range of two numbers; expected momenta, as START:STOP:COUNT or A,B,C"
-            )
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors, settings = options.load_inputs(arguments, _guns, one_track=True)
     if arguments.map:
@@ -195,10 +190,8 @@ def _scans(
     """Return the scans of all detectors by simulation and by the covariance, as far as they are asked for."""
     from cgemit.study.scan import scan_analytic, scan_detectors
 
-    given = {name: getattr(arguments, name) for name in ("p", "pt")}
-    momenta, pt = (value if isinstance(value, list | None) else [value] for value in given.values())
     how = {name: getattr(arguments, name) for name in ("cos_theta", "theta", "seed", "threads")}
-    how |= {"settings": settings, "momenta": momenta, "pt": pt}
+    how |= {"settings": settings, "momenta": arguments.p, "pt": arguments.pt}
     particles = arguments.particle or ["mu-"]
     points: list[Scan] = []
     lines: list[AnalyticScan] = []

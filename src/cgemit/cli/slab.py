@@ -39,9 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("matter", metavar="MATTER", help='layers, such as "Kapton 300 um + Cu 33 um"')
     parser.add_argument("--particle", default="mu-", help="PDG name or number (default mu-)")
-    parser.add_argument(
-        "--p", type=_momentum, default=1.0, metavar="P", help="momentum, GeV/c unless a unit is given (default 1)"
-    )
+    parser.add_argument("--p", default=1.0, metavar="P", help="momentum, GeV/c unless a unit is given (default 1)")
     parser.add_argument(
         "-n", "--n", type=_particles, default=200_000, metavar="N",
         help=f"number of particles, {FEWEST} to {MOST} (default 200000)",
@@ -88,11 +86,3 @@ def _write(result: SlabResult, numbers: str, folder: str, *, overwrite: bool) ->
 
 def _particles(text: str) -> int:
     return options.whole(text, FEWEST, MOST)
-
-
-def _momentum(text: str) -> float | str:
-    """Read GeV/c from a bare number; a text with a unit is read, and checked, together with everything else."""
-    try:
-        return float(text)
-    except ValueError:
-        return text

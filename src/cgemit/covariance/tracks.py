@@ -16,7 +16,8 @@ from cgemit import _core
 from cgemit.analysis.widths import SECOND_INSIDE
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, WrongValueError
-from cgemit.base.validate import check_whole
+from cgemit.base.validate import NO, check_whole, number_of, split_values
+from cgemit.base.validate import Quantity as Limits
 from cgemit.chain.executor import Workers, pool_of
 from cgemit.detector import Detector
 from cgemit.detector.gas import clusters_per_mm, enough_electrons, most_lost
@@ -26,7 +27,7 @@ from cgemit.detector.layers.wires import DriftChamber
 from cgemit.helix import path_to
 from cgemit.particles.species import species
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
-from cgemit.units import QuantityError, parse_quantity
+from cgemit.units import QuantityError
 
 #: Fields of the core's model of the expected hits.
 HitModel = dict[str, Any]
@@ -451,6 +452,9 @@ def sample_of(points: Points, number: int, layers: int) -> Sample:
 
 def _limits(name: str, given: Any, dimension: str, problems: Problems) -> tuple[Floats, Floats]:
     """Return the lower and upper limits of a range, or the same values twice."""
+    if dimension and isinstance(given, str):
+        given = split_values(name, given, Limits(dimension), problems)
+        given = 0.5 if given is NO else given
     if isinstance(given, tuple) and len(given) == 2:
         low, high = (_numbers(f"{name}[{i}]", one, dimension, problems) for i, one in enumerate(given))
         if low.shape or high.shape or low > high:
@@ -463,9 +467,9 @@ def _limits(name: str, given: Any, dimension: str, problems: Problems) -> tuple[
 def _numbers(name: str, given: Any, dimension: str, problems: Problems) -> Floats:
     try:
         if dimension and isinstance(given, str):
-            return np.asarray(parse_quantity(given, dimension), np.float64)
+            return np.asarray(number_of(given, dimension), np.float64)
         if dimension and isinstance(given, list):
-            given = [parse_quantity(one, dimension) if isinstance(one, str) else one for one in given]
+            given = [number_of(one, dimension) if isinstance(one, str) else one for one in given]
         return np.asarray(given, np.float64)
     except QuantityError as error:
         problems.take(error, name)

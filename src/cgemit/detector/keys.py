@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Quantity, constraint_of, expected, kinds_of
+from cgemit.base.validate import Quantity, Whole, constraint_of, expected, kinds_of
 from cgemit.units import NATIVE, describe, parse_quantity
 
 _P = TypeVar("_P", bound="Part")
@@ -116,6 +116,8 @@ class Key(Quantity):
             return "one of " + ", ".join(f'"{choice}"' for choice in self.choices)
         if self.kind == "setting":
             return self.doc
+        if self.kind == "integer" and self.low > -math.inf:
+            return Whole(int(self.low), int(self.high)).expected()
         texts = {
             "readout": "the name of a readout, or a table with name and what differs from its defaults",
             "integer": "a whole number",
@@ -141,12 +143,8 @@ class Key(Quantity):
             "lengths": "a length, or a list of lengths to use in turn, in mm",
         }
         text = texts.get(self.kind) or describe(self.kind)
-        if self.low == -float("inf"):
-            return text
-        if self.kind in NATIVE:
-            limits = f"above {self.low:g}, up to" if self.above else f"from {self.low:g} to"
-            return f"{text} {limits} {self.high:g} {NATIVE[self.kind]}".rstrip()
-        return f"{text} from {self.low:g} to {self.high:g}"
+        limits = self.limits()
+        return f"{text} {limits} {NATIVE.get(self.kind, '')}".rstrip() if limits else text
 
 
 def key(kind: str, doc: str, low: float = -float("inf"), high: float = float("inf"), **more: Any) -> dict[str, Key]:
@@ -205,8 +203,8 @@ def file_keys(kind: Any) -> dict[str, Key]:
 def _key_of(kind: Any) -> Key:
     """Return the key of a setting: a quantity, or what only its class can check."""
     found = constraint_of(kind)
-    if found is not None and found.kind in NATIVE:
-        return Key(found.kind, found.low, found.high, found.above)
+    if isinstance(found, Quantity):
+        return Key(found.kind, found.low, found.high, found.above, found.below)
     return Key("setting", doc=expected(kind))
 
 

@@ -15,11 +15,11 @@ from cgemit import _core
 from cgemit.base.errors import Problems, WrongValueError, refuse
 from cgemit.base.validate import (
     Axes,
-    Check,
     InTurn,
     Spread,
     Value,
     ValueLike,
+    Whole,
     check_fields,
     check_numbers,
     check_seed,
@@ -142,7 +142,7 @@ Cosine = Annotated[ValueLike, Spread("dimensionless", -1, 1)] | None
 Azimuth = Annotated[ValueLike, Spread("angle")]
 Point = Annotated[tuple[ValueLike, ValueLike, ValueLike], Axes("length", -FARTHEST, FARTHEST)]
 Sizes = Annotated[tuple[ValueLike, ValueLike, ValueLike], Axes("length", 0, FARTHEST)]
-Count = Annotated[int, Check(lambda value: 1 <= value <= 100_000, "a whole number from 1 to 100000")]
+Count = Annotated[int, Whole(1, 100_000)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -150,8 +150,9 @@ class Gun(Source):
     """A source of equal particles; ``gun + other`` shoots both in every event.
 
     For every quantity a number is fixed, a tuple ``(low, high)`` a uniform range, and a list or array the values
-    to use in turn: event number `i` gets the value at position ``i modulo length``. Strings such as ``"200 MeV/c"``
-    or ``"90 deg"`` are accepted in place of numbers.
+    to use in turn: event number `i` gets the value at position ``i modulo length``. Text is read as on the command
+    line: ``"200 MeV/c"`` or ``"90 deg"`` is a number, ``"A:B"`` a range, and ``"A,B,C"`` or ``"A:B:COUNT"``, with both
+    ends, are values in turn.
 
     Parameters
     ----------

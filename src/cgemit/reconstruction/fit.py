@@ -14,7 +14,7 @@ from cgemit import _core, helix
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, report
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Positive
+from cgemit.base.validate import Check, Momentum, Positive, Quantity, Whole
 from cgemit.detector import SCREENINGS, Detector, Screening, load, slabs
 from cgemit.detector.channels import checked
 from cgemit.fit_matter import tuned, with_hits_of
@@ -31,14 +31,14 @@ LOSSES: tuple[Loss, ...] = get_args(Loss)
 
 _MOST = 2**31 - 1  # iterations, of the core's whole number
 
-Iterations = Annotated[int, Check(lambda value: 1 <= value <= _MOST, f"a whole number from 1 to {_MOST}")]
-Share = Annotated[float, Check(lambda value: 0 <= value < 1, "0 or a probability below 1")]
+Iterations = Annotated[int, Whole(1, _MOST)]
+Share = Annotated[float, Quantity(low=0, high=1, below=True)]
 Pull = Annotated[float, Check(lambda value: value == 0 or 2 <= value < math.inf, "0 or at least 2 standard deviations")]
-Spread = Annotated[float, Check(lambda value: 1e-12 <= value < math.inf, "a number not below 1e-12")]
+Spread = Annotated[float, Quantity(low=1e-12)]
 FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
 _FARTHEST = 1e5  # mm
-Start = Annotated[float, Check(lambda value: abs(value) <= _FARTHEST, f"a radius in mm, within +-{_FARTHEST:g}")]
-Radius = Annotated[float, Check(lambda value: 0 < value < math.inf, "a positive radius in mm")]
+Start = Annotated[float, Quantity("length", -_FARTHEST, _FARTHEST)]
+Radius = Annotated[float, Quantity("length", 0, above=True)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +133,7 @@ class FitSettings(SettingsData):
     outlier_pull: Pull = 5.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
     beam: tuple[Spread, Spread] | None = None
-    momentum: Positive | None = None
+    momentum: Momentum | None = None
 
     def contradictions(self, problems: Problems) -> None:
         """Note several hypotheses that do not go together."""

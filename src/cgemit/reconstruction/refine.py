@@ -19,7 +19,7 @@ from cgemit import _core, helix
 from cgemit.base.arrays import Flags, Floats
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check
+from cgemit.base.validate import Quantity
 from cgemit.detector import Detector
 from cgemit.detector.drift import DriftRelations, _of_layers, propagation_time, relations_of
 from cgemit.detector.layers.layer import local_v
@@ -33,7 +33,7 @@ from cgemit.tables.schema import HIT_WIRE, is_fitted
 from cgemit.units import LIGHT
 
 Rows = npt.NDArray[np.signedinteger[Any]]
-TimeError = Annotated[float, Check(lambda value: 1e-3 <= value <= 1e3, "a time in ns from 0.001 to 1000")]
+TimeError = Annotated[float, Quantity("time", 1e-3, 1e3)]
 
 _STRIP_VIEWS = 2  # X and V in `candidate_hits`
 

@@ -14,7 +14,7 @@ from cgemit import helix
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check
+from cgemit.base.validate import Quantity
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.detector.parts import extent
@@ -67,8 +67,8 @@ def begin_at_vertices(
 
 Rows = npt.NDArray[np.intp]
 
-Length = Annotated[float, Check(lambda value: abs(value) <= 1e6, "a length in mm, within +-1e6")]
-Spread = Annotated[float, Check(lambda value: 0 < value <= 1e9, "a length in mm above 0, up to 1e9")]
+Length = Annotated[float, Quantity("length", -1e6, 1e6)]
+Spread = Annotated[float, Quantity("length", 0, 1e9, above=True)]
 
 
 @dataclass(frozen=True, kw_only=True)

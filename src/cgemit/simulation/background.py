@@ -16,7 +16,7 @@ from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, did_you_mean, report
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, check_numbers, check_seed
+from cgemit.base.validate import Check, Quantity, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
 from cgemit.detector import Detector, load
 from cgemit.detector.channels import channels_of, checked
@@ -31,11 +31,11 @@ from cgemit.tables.store import INDEX, StoredTables
 from cgemit.tables.table import merged, stacked
 
 Level = Annotated[str, Check(lambda value: 0 < len(value) <= 100, "off, or the label of a level of the detector")]
-Factor = Annotated[float, Check(lambda value: 0 <= value <= 100, "a number from 0 to 100")]
-Time = Annotated[float, Check(lambda value: abs(value) <= 1e6, "a time in ns, within +-1e6")]
-StartTime = Annotated[float, Check(lambda value: 0 <= value <= 1e3, "a time in ns from 0 to 1000")]
+Factor = Annotated[float, Quantity(low=0, high=100)]
+Time = Annotated[float, Quantity("time", -1e6, 1e6)]
+StartTime = Annotated[float, Quantity("time", 0, 1e3)]
 Offset = tuple[Time, Time]
-Share = Annotated[float, Check(lambda value: 0 <= value <= 0.6, "a share from 0 to 0.6")]
+Share = Annotated[float, Quantity(low=0, high=0.6)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, ProblemsError, WrongValueError, did_you_mean
-from cgemit.base.validate import check_seed, check_whole
+from cgemit.base.validate import NO, Quantity, check_seed, check_whole
 from cgemit.detector.build import MaterialNameError, material_named
 from cgemit.detector.core import SCREENINGS, compiled_stack
 from cgemit.detector.material import Material
@@ -570,16 +570,8 @@ def _kind(particle: str | int, problems: Problems) -> Species:
 
 
 def _momentum(p: float | str, problems: Problems) -> float:
-    try:
-        value = parse_quantity(p, "momentum") if isinstance(p, str) else float(p)
-    except QuantityError as error:
-        problems.take(error, "p")
-        return 1.0
-    except (TypeError, ValueError):
-        value = math.nan
-    if not 0 < value <= FASTEST:
-        problems.note("p", repr(p), f"a momentum above 0, up to {FASTEST:g} GeV/c")
-    return value
+    value = Quantity("momentum", 0, FASTEST, above=True).read("p", p, problems)
+    return 1.0 if value is NO else float(value)
 
 
 def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: str) -> list[_Piece]:

@@ -11,7 +11,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, check_numbers
+from cgemit.base.validate import Whole, check_numbers
 from cgemit.detector import Detector, Screening, compiled, load
 from cgemit.fit_matter import tuned
 from cgemit.particles.species import compiled_decays
@@ -20,7 +20,7 @@ from cgemit.tables import Table
 
 Fluctuations = Literal["full", "gaussian", "off"]
 Foil = Literal["effective", "lattice"]
-HalfTurns = Annotated[int, Check(lambda value: 1 <= value <= 15, "a whole number from 1 to 15")]
+HalfTurns = Annotated[int, Whole(1, 15)]
 
 TransportStatus = _core.common.TransportStatus
 

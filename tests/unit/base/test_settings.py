@@ -26,6 +26,7 @@ from cgemit.simulation.transport import SimulateSettings
 
 STAGES = (SimulateSettings, DigitizeSettings, ClusterSettings, FitSettings)
 
+ENERGY = '"1 GeV" (an energy), expected a momentum with its unit (GeV/c, MeV/c); did you mean "1 GeV/c"?'
 SURFACES = ", ".join(map(repr, get_args(SurfaceName)))
 
 #: Settings none of which is a default.
@@ -113,11 +114,11 @@ def test_all_problems_of_a_file_are_listed_at_once(tmp_path: Path) -> None:
             f"fit.los: got an unknown key, expected one of {', '.join(kinds_of(FitSettings))}; did you mean \"loss\"?",
             "fit.loss: got 'meen', expected one of 'truncated', 'mean', 'most_probable'; did you mean \"mean\"?",
             "fit.tolerance: got -1, expected a positive number",
-            "fit.prior_sigma: got [1, 2], expected a list of 5, each a number not below 1e-12",
-            f"fit.states[1]: got 'nowhere', expected a positive radius in mm, or one of {SURFACES}",
+            "fit.prior_sigma: got [1, 2], expected a list of 5, each a number of at least 1e-12",
+            f"fit.states[1]: got 'nowhere', expected a length in mm above 0, or one of {SURFACES}",
             "simulate.deltas: got 'no', expected true or false",
             "simulate.foil: got 'lattice', expected 'effective' unless fluctuations are 'full'",
-            "cluster.reference_p: got '1 GeV', expected a positive number",
+            f"cluster.reference_p: got {ENERGY}",
         ]
     )  # fmt: skip
 

@@ -1,7 +1,9 @@
-"""Numbers that every function reads in the same way."""
+"""Numbers that every function reads in the same way, and texts of constraints."""
 
 from __future__ import annotations
 
+import argparse
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +11,10 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.base.errors import Problems, ProblemsError
+from cgemit.base.validate import NO, Axes, Quantity, Whole
+from cgemit.cli import options
+from cgemit.detector.keys import Key
 from cgemit.particles.gun import generate
 from cgemit.study.optimize.search import Search
 from cgemit.study.readout.errors import fit_errors, pulls
@@ -69,3 +75,91 @@ def test_every_function_refuses_a_seed_with_the_same_words(name: str, seed: Any)
 def test_seeds_are_whole_numbers_of_64_bits(seed: Any) -> None:
     assert len(GUN.shoot(seed, EVENTS, 0)["pdg"]) == 2
     assert cg.study.scan_analytic(DESIGN, [1.0], seed=seed, threads=1).seed == seed
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1", 1.0), ("200 MeV/c", 0.2), (" 1e-1 ", 0.1), ("0.2:0.8", (0.2, 0.8)), ("100 MeV/c:1 GeV/c", (0.1, 1.0)),
+        ("0.2:1.0:5", [0.2, 0.4, 0.6, 0.8, 1.0]), ("2:3:1", [2.0]), ("1,500 MeV/c", [1.0, 0.5]),
+    ],
+)  # fmt: skip
+def test_command_guns_samples_and_plans_read_a_text_alike(text: str, value: Any) -> None:
+    assert options.momenta(text) == value
+    gun = cg.Gun("mu-", p=value, theta=1.0)
+    assert gun == cg.Gun("mu-", p=text, theta=1.0) == cg.Gun("mu-", p=options.momenta(text), theta=1.0)
+    assert cg.sample("cosmic", p=value).p == cg.sample("cosmic", p=text).p == gun.p
+    angles = text.replace(" MeV/c", " mrad").replace(" GeV/c", " rad")
+    assert cg.Gun("mu-", p=1, theta=1, phi=angles) == cg.Gun("mu-", p=1, theta=1, phi=options.angles(angles))
+    if not isinstance(value, tuple):
+        assert options.listed_momenta(text) == list(np.atleast_1d(value))
+        assert cg.study.Evaluation(p=text).p == cg.study.Evaluation(p=value).p
+        np.testing.assert_array_equal(cg.analytic(DESIGN, "mu-", p=text).p, cg.analytic(DESIGN, "mu-", p=value).p)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "1 GeV", "nan", "1:x", "1:2:0", "1:2:1.5", "1:2:1e9", "1:2:3:4", "1,,2", "2:1", "1,2 mm,x"]
+)
+def test_command_guns_and_plans_refuse_a_text_with_the_same_words(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError) as command:
+        options.momenta(text)
+    with pytest.raises(ProblemsError) as gun:
+        cg.Gun("mu-", p=text, theta=1.0)
+    words = "; ".join(str(problem._replace(path=problem.path.removeprefix("p"))) for problem in gun.value.problems)
+    assert str(command.value) == words
+    with pytest.raises(ProblemsError) as plan:
+        cg.study.Evaluation(p=text)
+    with pytest.raises(argparse.ArgumentTypeError) as listed:
+        options.listed_momenta(text)
+    words = "; ".join(str(problem._replace(path=problem.path.removeprefix("p"))) for problem in plan.value.problems)
+    assert str(listed.value) == words
+    assert (text.count(":") == 1) != (str(command.value) == words)  # a range is one problem more
+
+
+def test_ranges_in_plans_are_those_of_the_command() -> None:
+    for text in ("-0.5:0.5", "0.1,0.2", "0:0.8:3", "0.3"):
+        assert cg.study.Evaluation(cos_theta=text) == cg.study.Evaluation(cos_theta=options.cosines(text))
+    assert cg.study.Evaluation(cos_theta="0:0.5,0.5:0.9").cos_theta == ((0.0, 0.5), (0.5, 0.9))
+    with pytest.raises(ProblemsError, match=r'p: got "0.2:0.8", a range, expected a number, A,B,C or A:B:COUNT'):
+        cg.study.Evaluation(p="0.2:0.8")
+
+
+def test_vertices_are_those_of_the_command() -> None:
+    for text in ("1,2,3 cm", "0:1,0,-1:1 cm"):
+        gun = cg.Gun("mu-", p=1.0, theta=1.0, vertex=text)
+        assert gun == cg.Gun("mu-", p=1.0, theta=1.0, vertex=options.triple(text))
+    assert gun.vertex == ((0.0, 1.0), 0.0, (-1.0, 10.0))
+    problems = Problems()
+    assert Axes("length").read("vertex", "1,2", problems) is NO
+    assert str(problems[0]) == "vertex: got '1,2', expected three, along x, y and z"
+
+
+@pytest.mark.parametrize(
+    ("constraint", "text", "good", "bad"),
+    [
+        (Whole(1, 50), "a whole number from 1 to 50", [1, 50, np.int64(7)], [0, 51, 1.0, True, "3", None]),
+        (Quantity(), "a finite number", [-1, 0.0, "2"], [math.inf, math.nan, None, True]),
+        (Quantity(low=0), "zero or a positive number", [0, 1e300], [-1e-300, math.inf]),
+        (Quantity(low=0, above=True), "a positive number", [1e-300], [0, -1]),
+        (Quantity(low=1e-12), "a number of at least 1e-12", [1e-12], [0]),
+        (Quantity(low=0, high=1, below=True), "a number from 0 to below 1", [0, 0.999], [1]),
+        (Quantity(low=0, high=1, above=True, below=True), "a number between 0 and 1", [0.5], [0, 1]),
+        (Quantity(low=2, high=20), "a number from 2 to 20", [2, 20], [1.9, 21]),
+        (Quantity("length", 0, 2000, above=True), "a length in mm above 0, up to 2000", [2000, "20 cm"], [0, "3 m"]),
+        (Quantity("length", 0, above=True), "a length in mm above 0", [1, "1 um"], [0, "1 T"]),
+        (Quantity("time", -1e3, 1e3), "a time in ns within +-1000", [-1000, "1 us"], [1001, "-2 us"]),
+        (Key("integer", 4, 10_000), "a whole number from 4 to 10000", [], []),
+        (Key("length", 0, 9, True), "a length with its unit (mm, um, nm, cm, m) above 0, up to 9 mm", ["9 mm"], [9]),
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_constraints_write_what_they_allow(constraint: Any, text: str, good: list[Any], bad: list[Any]) -> None:
+    assert constraint.expected() == text
+    for value in good:
+        problems = Problems()
+        assert constraint.read("x", value, problems) is not NO
+        assert not problems
+    for value in bad:
+        problems = Problems()
+        assert constraint.read("x", value, problems) is NO
+        assert [problem.path for problem in problems] == ["x"]

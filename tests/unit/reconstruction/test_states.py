@@ -266,7 +266,7 @@ def test_every_mistake_is_listed():
         FitSettings(states=("vertex", -1.0, float("nan"), True), hypothesis=("pi", "tau", "pi"))
     for text in ("'vertex'", "-1.0", "nan", "True", r"hypothesis\[1\]: got 'tau'", r"'pi'\)"):
         assert re.search(f"{text}, expected", str(caught.value))
-    with pytest.raises(ValueError, match="expected a list, each a positive radius"):
+    with pytest.raises(ValueError, match="expected a list, each a length in mm above 0"):
         FitSettings(states=10.0)  # type: ignore[arg-type]
     result, _ = states_of((), n=1)
     with pytest.raises(ValueError, match="extrapolate:") as caught:

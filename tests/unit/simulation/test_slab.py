@@ -269,7 +269,7 @@ def test_command_explains_bad_input_with_exit_code_2(capsys):
     captured = capsys.readouterr()
     assert "4 problems" in captured.err
     assert not captured.out
-    for number, limit in (("0", "at least 1000"), ("999", "at least 1000"), ("20000001", "at most 20000000")):
+    for number, limit in (("0", "from 1000"), ("999", "from 1000"), ("20000001", "to 20000000")):
         assert main(["slab", "Cu 1 mm", "-n", number]) == 2
         assert limit in capsys.readouterr().err
     with pytest.raises(SlabError, match="from 1000 to 20000000"):

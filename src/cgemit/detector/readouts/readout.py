@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal
 
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Quantity, default_of
+from cgemit.base.validate import Quantity, Whole, default_of
 from cgemit.detector.keys import Part
 from cgemit.units import parse_quantity
 
@@ -30,7 +30,7 @@ Probability = Annotated[float, Quantity("dimensionless", 0.0, 1.0, above=True)]
 
 Factor = Annotated[float, Quantity("dimensionless", 0.0, 10.0)]
 
-Missing = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
+Missing = Annotated[int, Whole(0, 10)]
 
 Estimator = Literal["merged", "centroid", "micro-tpc"]
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from cgemit.base.arrays import Floats
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Positive
+from cgemit.base.validate import Momentum, Quantity, Whole
 from cgemit.detector import ReadoutGroup
 from cgemit.detector.readouts import Readout
 from cgemit.tables import Table
 
 Position = Literal["centre", "charge"]
-Fraction = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
-Bridge = Annotated[int, Check(lambda value: 0 <= value <= 10, "a whole number from 0 to 10")]
+Fraction = Annotated[float, Quantity(low=0, high=1, above=True, below=True)]
+Bridge = Annotated[int, Whole(0, 10)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class ClusterSettings(SettingsData):
 
     position: Position = "centre"
     bridge: Bridge = 1
-    reference_p: Positive = 1.0
+    reference_p: Momentum = 1.0
     reference_cos_theta: Fraction = 0.93
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from cgemit import _core
 from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Positive
+from cgemit.base.validate import Check, Momentum, Quantity, Whole
 from cgemit.detector import Detector, WireLayer, load
 from cgemit.detector.channels import checked
 from cgemit.particles.species import Species, hypothesis_name, hypothesis_of, is_hypothesis
@@ -26,15 +26,14 @@ from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 
 Method = Literal["combined", "segments", "chamber"]
 
-_COUNT = "a whole number from {} to {}"
-Count = Annotated[int, Check(lambda value: 1 <= value <= 1000, _COUNT.format(1, 1000))]
-Few = Annotated[int, Check(lambda value: 1 <= value <= 50, _COUNT.format(1, 50))]
-Layers = Annotated[int, Check(lambda value: 4 <= value <= 60, _COUNT.format(4, 60))]
-Gate = Annotated[float, Check(lambda value: 2 <= value <= 20, "a number from 2 to 20 standard deviations")]
-Efficiency = Annotated[float, Check(lambda value: 0.5 <= value < 1, "a probability from 0.5 to below 1")]
-Score = Annotated[float, Check(math.isfinite, "a finite number")]
+Count = Annotated[int, Whole(1, 1000)]
+Few = Annotated[int, Whole(1, 50)]
+Layers = Annotated[int, Whole(4, 60)]
+Gate = Annotated[float, Quantity(low=2, high=20)]
+Efficiency = Annotated[float, Quantity(low=0.5, high=1, below=True)]
+Score = Annotated[float, Quantity()]
 ParticleName = Annotated[str, Check(is_hypothesis, "e, mu, pi, K, p, or the name of another charged particle")]
-Length = Annotated[float, Check(lambda value: 0 < value <= 2000, "a length in mm, above 0, at most 2000")]
+Length = Annotated[float, Quantity("length", 0, 2000, above=True)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +101,12 @@ class FindSettings(SettingsData):
     holes_in_row: Few = 5
     max_d: Length = 200.0
     max_z: Length = 400.0
-    min_pt: Positive = 0.03
+    min_pt: Momentum = 0.03
     least_axial: Layers = 6
     min_score: Score = 2.0
     max_seeds: Count = 200
     annealing: bool = True
-    momentum: Positive | None = None
+    momentum: Momentum | None = None
 
 
 Column = npt.NDArray[Any]

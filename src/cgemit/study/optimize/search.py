@@ -13,7 +13,7 @@ import numpy as np
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problem, ProblemsError
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check
+from cgemit.base.validate import Quantity, Whole
 from cgemit.chain.executor import Workers
 from cgemit.covariance.result import Covariance
 from cgemit.covariance.sensitivity import SurfacesError, logarithmic_slopes, varied
@@ -33,12 +33,11 @@ CHUNK = {"analytic": 5, "mc": 1}
 #: SLSQP with gradients, COBYLA without, NSGA-II.
 Method = Literal["gradient", "cobyla", "nsga2"]
 
-_WHOLE = "a whole number from {} to 1000000"
-Count = Annotated[int, Check(lambda value: 1 <= value <= 1_000_000, _WHOLE.format(1))]
-Population = Annotated[int, Check(lambda value: 4 <= value <= 1_000_000, _WHOLE.format(4))]
-Calls = Annotated[int, Check(lambda value: 0 <= value <= 1_000_000, _WHOLE.format(0))]
-Starts = Annotated[int, Check(lambda value: 1 <= value <= 1000, "a whole number from 1 to 1000")]
-Tolerance = Annotated[float, Check(lambda value: 0 < value < 1, "a number between 0 and 1")]
+Count = Annotated[int, Whole(1, 1_000_000)]
+Population = Annotated[int, Whole(4, 1_000_000)]
+Calls = Annotated[int, Whole(0, 1_000_000)]
+Starts = Annotated[int, Whole(1, 1000)]
+Tolerance = Annotated[float, Quantity(low=0, high=1, above=True, below=True)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, REPORTED
 from cgemit.analysis.widths import GROUPS, core_sigma, measure, without_groups
 from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, Listed, is_whole
+from cgemit.base.validate import Listed, Whole, is_whole
 from cgemit.chain import run
 from cgemit.chain.settings import Settings, fit_settings
 from cgemit.covariance.analytic import covariance_at, entries_at
@@ -43,10 +43,10 @@ CosTheta = float | tuple[float, float]
 
 Momenta = Annotated[Any, Listed("momentum", 0, FASTEST, above=True)]
 Angles = Annotated[Any, Listed("dimensionless", -1, 1, ranges=True)]
-Events = Annotated[int, Check(lambda value: 1 <= value < 2**31, f"a whole number from 1 to {2**31 - 1}")]
-Seed = Annotated[int, Check(lambda value: 0 <= value < 2**64, f"a whole number from 0 to {2**64 - 1}")]
-Samples = Annotated[int, Check(lambda value: 1 <= value <= MOST_SAMPLES, f"a whole number from 1 to {MOST_SAMPLES}")]
-Variants = Annotated[int, Check(lambda value: 1 <= value <= 1_000_000, "a whole number from 1 to 1000000")]
+Events = Annotated[int, Whole(1, 2**31 - 1)]
+Seed = Annotated[int, Whole(0, 2**64 - 1)]
+Samples = Annotated[int, Whole(1, MOST_SAMPLES)]
+Variants = Annotated[int, Whole(1, 1_000_000)]
 if TYPE_CHECKING:
     Resolution = str
 else:
@@ -66,9 +66,9 @@ class Evaluation(SettingsData):
     particle : str or int
         Name or PDG number.
     p : float or list of float, GeV/c
-        Momenta.
+        Momenta; in text, as on the command line, ``"A,B,C"`` or ``"A:B:COUNT"``.
     cos_theta : float, (float, float), or list of these
-        A pair is a uniform range, in a file ``"LOW:HIGH"``.
+        A pair is a uniform range, in text ``"A:B"``.
     events : int
         "mc": simulated events for each variant, momentum and angle.
     seed : int

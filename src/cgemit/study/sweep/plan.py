@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from cgemit.base.errors import Problem, Problems, did_you_mean
 from cgemit.base.files import SUMMARY, add_files, parse_toml, read_text, toml_text
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Check, build, entries
+from cgemit.base.validate import Whole, build, entries
 from cgemit.chain.settings import Settings
 from cgemit.detector import load
 from cgemit.detector.export import write_files
@@ -194,7 +194,7 @@ class Sample(SettingsData):
     """
 
     kind: Literal["grid", "sobol", "latin_hypercube"] = "grid"
-    n: Annotated[int, Check(lambda value: 1 <= value <= 10_000_000, "a whole number from 1 to 10000000")] | None = None
+    n: Annotated[int, Whole(1, 10_000_000)] | None = None
     seed: Seed = 1
 
     def contradictions(self, problems: Problems) -> None:

@@ -125,7 +125,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*common, "--scan", "gain", "--angle", "80 deg"]) == 2
     errors = capsys.readouterr().err
     for text in ("--values: got it with --scan angle", "--angles: got it with --scan gain",
-                 "got a range",
+                 "a range, expected a number, A,B,C or A:B:COUNT",
                  "--angles: got -25 rad = -1432.39 deg, expected between",
                  "--angle: got 1.39626 rad = 80 deg, expected between -80 and 80 deg"):  # fmt: skip
         assert text in errors
