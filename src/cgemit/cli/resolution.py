@@ -27,7 +27,7 @@ sigma(pT)/pT, pT, phi0, theta and tan(lambda). Several detectors see the same pa
 to the first have paired errors."""
 
 EXAMPLES = """\
-Momenta are one number, A,B,C, or START:STOP:COUNT with both ends; in GeV/c unless a unit is given.
+Momenta are one number, A,B,C, or A:B:COUNT with both ends; in GeV/c unless a unit is given.
 
 examples:
   cgemit resolution -d besiii-cgem-design --p 0.2:2.0:10 -o curves
@@ -119,7 +119,7 @@ def _maps(arguments: argparse.Namespace, detectors: Sequence[Detector], settings
 
     given = {"--p": arguments.p, "--cos-theta": arguments.cos_theta}
     problems = [
-        f"{name}: got {value}; --map expects two values or more, as START:STOP:COUNT or A,B,C"
+        f"{name}: got {value}; --map expects two values or more, as A,B,C or A:B:COUNT"
         for name, value in given.items()
         if not isinstance(value, list) or len(set(value)) < 2
     ]
