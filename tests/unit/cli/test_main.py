@@ -64,7 +64,10 @@ def test_settings_in_the_examples_exist(capsys):
         (["study", "--events", "10", "-o", "never"], "from 400"),
         (["study", "--threads", "0"], "a whole number from 1"),
         ([*RESOLUTION, "-o", "never", "--method", "geant"], "geant"),
-        (["resolution", "-d", "besiii-cgem", "--p", "1:2", "-o", "never"], "a range, expected a number, A,B,C or A:B:COUNT"),
+        (
+            ["resolution", "-d", "besiii-cgem", "--p", "1:2", "-o", "never"],
+            "A,B,C or A:B:COUNT",
+        ),
         (["resolution", "-d", "besiii-cgam", "--p", "1", "-o", "never"], "besiii-cgem"),
         (["resolution", "-d", "besiii-cgem", "--p", "1 mm", "-o", "never"], "momentum"),
         (["resolution", "-d", "besiii-cgem", "--p", "-1", "-o", "never"], "p"),
