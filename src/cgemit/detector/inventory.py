@@ -132,7 +132,7 @@ class MaterialScan(Shown, Tabular):
     @property
     def total(self) -> Floats:
         """X/X0 of all matter, %."""
-        return np.sum(list(self.x0.values()), axis=0)
+        return np.asarray(np.sum(list(self.x0.values()), axis=0))
 
     def columns(self) -> dict[str, list[Any]]:
         """Return one row for each angle: angles, X/X0 in % of each part and of all, and hits."""
@@ -219,7 +219,7 @@ def _inside(slope: Floats, ends: tuple[float, float], low: float, high: float) -
         borders = np.sort(np.array(ends)[:, None] / slope, axis=0)
     flat = slope == 0
     borders[0, flat], borders[1, flat] = (-np.inf, np.inf) if ends[0] <= 0 <= ends[1] else (np.inf, np.inf)
-    return np.maximum(np.minimum(borders[1], high) - np.maximum(borders[0], low), 0.0)
+    return np.asarray(np.maximum(np.minimum(borders[1], high) - np.maximum(borders[0], low), 0.0))
 
 
 def _crossed(detector: Detector, slope: Floats) -> dict[str, Floats]:
