@@ -17,13 +17,11 @@ from cgemit.base.validate import is_whole
 from cgemit.detector import Detector
 from cgemit.detector.inventory import GEOMETRY, Background, occupancy
 from cgemit.detector.variants import values_at
-from cgemit.study.sweep.evaluate import Evaluation, covariances
+from cgemit.study.sweep.evaluate import UNSEEN, Evaluation, covariances, unseen_matter
 from cgemit.study.sweep.space import Changes, own_text, own_value, split_range
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
 OCCUPANCY = "occupancy"
-#: Matter whose radiation the fit of electrons does not see (`Losses.effective`).
-UNSEEN = "unseen_x0"
 
 
 @dataclass(frozen=True)
@@ -169,8 +167,7 @@ class Goals:
             assert self.background is not None  # checked when the goals are made
             return occupancy(detector, self.background)
         if goal.name == UNSEEN:
-            found = [one.losses().effective.sum(axis=1) for one in covariances(detector, self.evaluation)]
-            return float(100 * np.mean(found))
+            return float(np.mean(unseen_matter(detector, self.evaluation)))
         _, whole, real = GEOMETRY[goal.name]
         return (real if smooth else whole)(detector)
 

@@ -22,7 +22,6 @@ from cgemit.detector.inventory import Background
 from cgemit.particles.species import species
 from cgemit.study.optimize.goals import (
     OCCUPANCY,
-    UNSEEN,
     Goal,
     Goals,
     Limit,
@@ -45,7 +44,7 @@ from cgemit.study.optimize.search import (
     with_failures,
 )
 from cgemit.study.samples import ShowProgress
-from cgemit.study.sweep.evaluate import Evaluation
+from cgemit.study.sweep.evaluate import UNSEEN, Evaluation
 from cgemit.study.sweep.plan import PlanFile, range_of, read_evaluation, read_tables
 from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, workers_of
 from cgemit.study.sweep.space import PlanError

@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,11 @@ from cgemit.truth.match import measuring
 
 #: Resolutions that are computed by default.
 SWEPT = tuple(name for name in ABSOLUTE if name in REPORTED)
+
+#: Matter whose radiation the fit of electrons does not see, %: sum of `Losses.effective`.
+UNSEEN = "unseen_x0"
+_UNSEEN = f"{UNSEEN} (%)"  # the column
+_ELECTRON = 11  # PDG number
 
 #: What the user's own function is.
 Function = Callable[[Detector], Mapping[str, Any]]
@@ -159,12 +164,26 @@ class Evaluation(SettingsData):
         settings = self.settings or Settings()
         return settings.digitize, fit_settings(settings)
 
+    @cached_property
+    def counts_radiation(self) -> bool:
+        """Whether `UNSEEN` is among the results: of electrons at fixed angles, with "analytic"."""
+        fit = self.digitize_and_fit[1]
+        return (
+            self.method == "analytic"
+            and abs(species(self.particle).pdg) == _ELECTRON
+            and not any(isinstance(one, tuple) for one in self.cos_theta)
+            and (fit.loss, fit.radiation, fit.matter, fit.start_radius) == ("truncated", True, True, 0.0)
+        )
+
     def __call__(self, detector: Detector) -> Any:
         """Return what `results` takes: of "analytic" the covariances for each cos(theta), else the results."""
         if self.function is not None:
             return {"columns": {name: [value] for name, value in numbers_of(self.function(detector)).items()}}
         if self.method == "analytic":
-            return [entries_at(points, detector, *self.digitize_and_fit) for points in self.points_by_angle]
+            return _Expected(
+                [entries_at(points, detector, *self.digitize_and_fit) for points in self.points_by_angle],
+                unseen_matter(detector, self) if self.counts_radiation else None,
+            )
         pairs = [(p, c) for p in self.p for c in self.cos_theta]
         found = [_simulated(detector, self, number, p, c) for number, (p, c) in enumerate(pairs, start=1)]
         columns = {name: [point[name] for point, _ in found] for name in found[0][0]}
@@ -179,12 +198,27 @@ def _text(cos_theta: CosTheta) -> str:
     return f"{cos_theta[0]:g}:{cos_theta[1]:g}" if isinstance(cos_theta, tuple) else f"{cos_theta:g}"
 
 
-def result_columns(method: str, quantities: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of numbers that "analytic" or "mc" makes of some resolutions."""
+class _Expected(NamedTuple):
+    """Covariances of a detector for each cos(theta), and its unseen matter there, %, (momenta,) each."""
+
+    entries: list[Entries]
+    unseen: list[npt.NDArray[np.float64]] | None
+
+
+def unseen_matter(detector: Detector, evaluation: Evaluation) -> list[npt.NDArray[np.float64]]:
+    """Return the radiation lengths whose losses the fit does not see, %, at all momenta for each cos(theta)."""
+    return [100 * one.losses().effective.sum(axis=1) for one in covariances(detector, evaluation)]
+
+
+def result_columns(method: str, quantities: Sequence[str], radiation: bool = False) -> tuple[str, ...]:
+    """Return the columns of numbers that "analytic" or "mc" makes of some resolutions.
+
+    `radiation`: whether `UNSEEN` is among them, `Evaluation.counts_radiation`.
+    """
     known = [QUANTITIES[name] for name in quantities]
     sigmas = [one.column() for one in known]
     if method == "analytic":
-        return (*sigmas, "reached")
+        return (*sigmas, *((_UNSEEN,) if radiation else ()), "reached")
     ends = (("sigma", "_error"), ("delta_sigma", ""), ("delta_sigma", "_error"))
     more = [one.column(kind, end) for one in known for kind, end in ends]
     return ("fitted", "events", *sigmas, *more)
@@ -196,20 +230,28 @@ def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
     return [covariance_at(points, detector, digitize, fit, threads=1) for points in evaluation.points_by_angle]
 
 
-def _analytic_results(found: Sequence[Sequence[Entries]], evaluation: Evaluation) -> list[dict[str, Any]]:
+def _analytic_results(found: Sequence[_Expected], evaluation: Evaluation) -> list[dict[str, Any]]:
     """Return the core resolutions of every point from the covariances of each detector, without events.
 
     `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
     """
-    by_angle = [core_widths(at_angle, evaluation.quantities) for at_angle in zip(*found, strict=True)]
-    return [{"columns": _columns(widths, evaluation.quantities)} for widths in zip(*by_angle, strict=True)]
+    all_entries = zip(*[one.entries for one in found], strict=True)
+    by_angle = [core_widths(at_angle, evaluation.quantities) for at_angle in all_entries]
+    return [
+        {"columns": _columns(widths, one.unseen, evaluation.quantities)}
+        for widths, one in zip(zip(*by_angle, strict=True), found, strict=True)
+    ]
 
 
-def _columns(widths: Sequence[Widths], quantities: Sequence[str]) -> dict[str, list[Any]]:
-    """Return the columns of one detector from its resolutions for each cos(theta)."""
+def _columns(
+    widths: Sequence[Widths], unseen: Sequence[npt.NDArray[np.float64]] | None, quantities: Sequence[str]
+) -> dict[str, list[Any]]:
+    """Return the columns of one detector from its resolutions and its unseen matter for each cos(theta)."""
     columns: dict[str, list[Any]] = {}
     for name in quantities:
         columns[QUANTITIES[name].column()] = _by_point([one.sigma[name] for one in widths])
+    if unseen is not None:
+        columns[_UNSEEN] = _by_point(unseen)
     columns["reached"] = _by_point([one.reached for one in widths])
     columns["tracks"] = [FitStatus(status).name for status in _by_point([one.status for one in widths])]
     return columns

@@ -295,7 +295,7 @@ def _columns(evaluate: Evaluation | None) -> tuple[str, ...]:
     """Return the columns of numbers that a sweep may have; none for a function, whose are not known before it runs."""
     if evaluate is None:  # it has problems of its own
         return (*result_columns("mc", SWEPT), "reached")
-    return () if evaluate.function else result_columns(evaluate.kind, evaluate.quantities)
+    return () if evaluate.function else result_columns(evaluate.kind, evaluate.quantities, evaluate.counts_radiation)
 
 
 def _named_files(tables: dict[str, Any], folder: Path) -> dict[tuple[str, str], Path]:

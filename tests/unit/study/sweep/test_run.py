@@ -303,6 +303,20 @@ def test_analytic_resolutions_are_those_of_the_covariance() -> None:
     assert changed.columns["sigma_dr (um)"][1] == pytest.approx(float(expected), rel=1e-12)
 
 
+def test_unseen_matter_of_electrons_is_a_column() -> None:
+    """It is the sum of what `Covariance.losses` has; muons and ranges of angles have none."""
+    space = {"cgem.*.pitch_x": ["400 um"]}
+    pipe = {"walls.extra": {"r_in": "70 mm", "r_out": "71 mm", "half_length": "300 mm", "material": "Al"}}
+    thicker = DESIGN.with_overrides(pipe)
+    evaluation = Evaluation(particle="e+", p=[0.3, 1.0], cos_theta=[0.0, 0.7])
+    plain, more = (sweep(one, space, evaluate=evaluation).columns["unseen_x0 (%)"] for one in (DESIGN, thicker))
+    at = [cg.analytic(DESIGN, "e+", p=[0.3, 1.0], cos_theta=c).losses().effective.sum(axis=1) for c in (0.0, 0.7)]
+    np.testing.assert_allclose(np.array(plain[:4]).reshape(2, 2), 100 * np.transpose(at), rtol=1e-9)
+    assert 0.9 * 100 / 88.97 < more[0] - plain[0] < 1.1 * 100 / 88.97  # 1 mm of aluminium before the first hit
+    for other in (Evaluation(p=1.0), Evaluation(particle="e+", p=1.0, cos_theta=(-0.5, 0.5))):
+        assert "unseen_x0 (%)" not in sweep(DESIGN, space, evaluate=other).columns
+
+
 def test_error_of_a_difference_of_widths_of_the_same_events() -> None:
     random = np.random.default_rng(5)
     errors, differences = [], []
