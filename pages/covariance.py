@@ -74,7 +74,7 @@ class Ratio:
 DESIGN = "besiii-cgem-design"
 Point = tuple[str, str, str, float, float]
 #: With CGEM layers or a chamber alone; tests/physics/test_measurement_layers.py has silicon.
-SILICON = ("belle2-like", "besiii-pixel", "cepc-like", "clas12-like", "epic-like", "idea-like")
+SILICON = ("babar-like", "belle2-like", "besiii-pixel", "cepc-like", "clas12-like", "epic-like", "idea-like")
 DETECTORS = tuple(name for name in cg.detectors() if name not in SILICON)
 
 

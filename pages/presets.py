@@ -18,7 +18,7 @@ from pages.page import Found, Numbers, Page, table
 
 PRESETS = (
     *("besiii-cgem-design", "besiii-pixel", "clas12-like", "stcf-like", "kloe2-like"),
-    *("belle2-like", "epic-like", "idea-like", "cepc-like"),
+    *("babar-like", "belle2-like", "epic-like", "idea-like", "cepc-like"),
 )
 MOMENTA = (1.0, 10.0)
 THIN = ("epic-like", "idea-like", "cepc-like")  # of thin layers that measure precisely
@@ -177,7 +177,6 @@ def _lorentz_shifts() -> str:
 def draw_presets(found: Found) -> Figure:
     """Draw one half of the presets along the beam."""
     figure, axes = plt.subplots(5, 2, figsize=(11.6, 20.0), dpi=75)
-    axes[-1, -1].set_axis_off()
     entries = {}  # of one legend for all, below
     for plot, name in zip(axes.flat[: len(PRESETS)], PRESETS, strict=True):
         draw_rz(name, plot)

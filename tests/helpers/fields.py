@@ -31,9 +31,9 @@ def box_grid(values, half=600.0, step=50.0, half_z=1000.0) -> FieldGrid:
 
 
 def on_core(grid: FieldGrid, tolerance=1e-3) -> _core.detector.Field:
-    axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
-    coefficients = grid.coefficients().ravel()
-    return _core.detector.Field(bz=grid.bz_at_origin(), axes=axes, coefficients=coefficients, tolerance=tolerance)
+    axes = [(axis.first, axis.step, axis.points + (axis.name == "phi")) for axis in grid.axes]
+    how = {"coefficients": grid.coefficients().ravel(), "polar": grid.is_polar, "tolerance": tolerance}
+    return _core.detector.Field(bz=grid.bz_at_origin(), axes=axes, **how)
 
 
 def small_map(folder):

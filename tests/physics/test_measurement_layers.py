@@ -136,6 +136,7 @@ def test_expected_resolutions_are_those_of_simulated_tracks(make: Any, cos_theta
 
 #: Momenta in GeV/c and cos(theta).
 BARRELS = {
+    "babar-like": ((0.3, 1.0, 3.0), (0.0, 0.4, -0.6)),
     "belle2-like": ((0.3, 1.0, 3.0), (0.0, 0.4, -0.6)),
     "besiii-pixel": ((0.3, 1.0, 1.5), (0.0, 0.4, -0.7)),
     "cepc-like": ((1.0, 5.0, 50.0), (0.0, 0.4, -0.7)),
@@ -149,7 +150,7 @@ BARRELS = {
 GAUSSIAN = ("besiii-pixel", "stcf-like", "kloe2-like")
 #: One track in a thousand is on the wrong side of many wires, lacks a hit of the pixels, or is a second one of a few
 #: wires: half of the central 68 % instead of the RMS.
-CORES = ("belle2-like", "besiii-pixel", "kloe2-like")
+CORES = ("babar-like", "belle2-like", "besiii-pixel", "kloe2-like")
 #: The fit reports tracks of `kloe2-like` that lose most of their wires (`hits_left_out`).
 LEAST = {"kloe2-like": 0.997}
 

@@ -15,8 +15,9 @@ LOSS_GRID_STEP: Final[float]
 LOSS_POINTS: Final[int]
 
 class Field:
-    # Harmonic (b mm^-2, q mm^-4; reach: largest r and |z|, mm), or a grid. axes: first (mm), step (mm), points;
-    # coefficients of cubic B-splines: points + 2 of each axis, then the component.
+    # Harmonic (b mm^-2, q mm^-4; reach: largest r and |z|, mm), or a grid in r, z, in x, y, z or, if `polar`, in r,
+    # phi, z. axes: first (mm, rad), step (mm, rad), points; coefficients of cubic B-splines: points + 2 of each axis,
+    # then the component.
     def __init__(
         self,
         *,
@@ -27,6 +28,7 @@ class Field:
         axes: Sequence[tuple[float, float, int]] = [],
         coefficients: npt.ArrayLike = [],
         reach: Sequence[float] | None = None,
+        polar: bool = False,
     ) -> None: ...
     @property
     def bz(self) -> float: ...  # T, at the origin

@@ -394,10 +394,11 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
     checksum, stated = values.get("checksum"), "bz" in values
     values.setdefault("checksum", UNUSABLE)
     values.setdefault("bz", UNUSABLE)
-    if not isinstance(values["file"], str):
+    mirror = values.get("mirror")
+    if not isinstance(values["file"], str) or (mirror is not None and not isinstance(mirror, tuple)):
         return
     try:
-        grid = read_field_map(map_path(values["file"]))
+        grid = read_field_map(map_path(values["file"]), mirror=mirror)
     except DetectorError as error:
         for problem in error.problems:
             place = f" {problem.path}" if problem.path else ""

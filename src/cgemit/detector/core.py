@@ -199,8 +199,10 @@ def compiled_field(detector: Contents) -> _core.detector.Field | None:
 
 
 def _on_grid(grid: FieldGrid, scale: float, bz: float, tolerance: float) -> _core.detector.Field:
-    axes = [(axis.first, axis.step, axis.points) for axis in grid.axes]
-    return _core.detector.Field(bz=bz, axes=axes, coefficients=scale * grid.coefficients().ravel(), tolerance=tolerance)
+    # Around, the first point is also the last one.
+    axes = [(axis.first, axis.step, axis.points + (axis.name == "phi")) for axis in grid.axes]
+    coefficients = scale * grid.coefficients().ravel()
+    return _core.detector.Field(bz=bz, axes=axes, coefficients=coefficients, tolerance=tolerance, polar=grid.is_polar)
 
 
 def field_at(detector: Contents, points: ArrayLike) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from cgemit.base.files import new_file, toml_text
 from cgemit.detector.build import library
 from cgemit.detector.check import unreachable
-from cgemit.detector.field import KINDS, MapField, field_text, kind_key
+from cgemit.detector.field import KINDS, MIRRORS, MapField, field_text, kind_key
 from cgemit.detector.files import OWN_MAP, write_field_map
 from cgemit.detector.keys import CELLS, CENTRED, Key, Known, default, file_keys, keys_of, once, opened, required_of
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer
@@ -32,7 +32,7 @@ from cgemit.detector.layers.wires import (
 )
 from cgemit.detector.material import DensityEffect, Material, elements
 from cgemit.detector.matter import slabs
-from cgemit.detector.parts import BackgroundLevel, Contents, Cylinder, RatePoint
+from cgemit.detector.parts import BackgroundLevel, Contents, Cylinder, RatePoint, extent
 from cgemit.detector.reader import (
     FOR_ALL_LAYERS,
     GENERATED,
@@ -49,7 +49,7 @@ from cgemit.units import NATIVE, format_quantity, units_of
 
 def lines(detector: Contents) -> list[str]:
     """Return one line for the field and for each part that measures."""
-    found = [f"field {field_text(detector.field)}"]
+    found = [f"field {field_text(detector.field, *extent(detector))}"]
     for group, layers in detector.by_kind():
         found += [f"{group} {layer.label}: {layer.text()}" for layer in layers]
     if detector.drift_chamber:
@@ -98,7 +98,7 @@ def describe(detector: Contents) -> dict[str, Any]:
         "name": detector.name,
         "description": detector.description,
         "field_t": detector.field.bz,
-        "field": field_text(detector.field),
+        "field": field_text(detector.field, *extent(detector)),
         "material": material,
         "cgem": [layer.described() for layer in detector.cgem],
         "layers": [layer.described() for group, layers in detector.by_kind() if group != "cgem" for layer in layers],
@@ -208,6 +208,7 @@ def stored_toml(detector: Contents) -> str:
     tables = to_dict(detector)
     if (name := _map_beside(detector)) is not None:
         tables["field"]["file"] = name
+        tables["field"].pop("mirror", None)  # that map is complete
     return toml_text(tables, in_place=("composition", "density_effect"))
 
 
@@ -260,7 +261,7 @@ def _value(value: Any, kind: str) -> Any:
         return dict(value)
     if kind in ("profile", "relation", "errors"):
         return [_table(point) for point in value]
-    if kind == "counts":
+    if kind in ("counts", "mirrors"):
         return list(value)
     if kind == "stack":
         return [_sub_layer(part) for part in value]
@@ -464,6 +465,9 @@ def _schema_value(key: Key) -> dict[str, Any]:
         "errors": {"type": "array", "maxItems": MOST_POINTS, "items": {"$ref": "#/$defs/error_point"}},
         "counts": {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": {"type": "number", "minimum": 0}},
         "offset": {"anyOf": [{"const": CENTRED}, {"type": "number", **limits}]},
+        "mirrors": {
+            "anyOf": [{"enum": list(MIRRORS)}, {"type": "array", "uniqueItems": True, "items": {"enum": list(MIRRORS)}}]
+        },
         "strips": {"type": "array", "items": {"type": "string", "pattern": f"^{STRIPS}$"}},
         "channels": {"type": "array", "items": {"type": "string", "pattern": f"^{WIRES}$"}},
         "gains": {"type": "array", "items": {"anyOf": [{"type": "number", **limits}, _grid(limits)]}},

@@ -6,7 +6,7 @@ import csv
 import math
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -266,10 +266,15 @@ def _field_of(name: str, tables: dict[str, Any], folder: Path | None) -> dict[st
 
 _HEADER = re.compile(r"\s*(\w+)\s*\[(.*)\]\s*")
 _LARGEST_CSV = 500_000_000  # bytes
-_LENGTH, _FIELD = "length_unit", "field_unit"
+_UNITS = {"length": "length_unit", "angle": "angle_unit", "field": "field_unit"}  # by dimension, in .npz files
 
 
-def read_field_map(path: str | Path, columns: str = "") -> FieldGrid:
+def _dimensions(axes: tuple[str, ...], components: tuple[str, ...]) -> dict[str, str]:
+    """Return the dimension of each column of a map."""
+    return {name: "angle" if name == "phi" else "length" for name in axes} | dict.fromkeys(components, "field")
+
+
+def read_field_map(path: str | Path, columns: str = "", mirror: str | Sequence[str] | None = None) -> FieldGrid:
     """Return the grid that a map file holds (docs/methods/field.md).
 
     Parameters
@@ -280,6 +285,9 @@ def read_field_map(path: str | Path, columns: str = "") -> FieldGrid:
         Columns of a text table without a header, such as ``"x[cm] y[cm] z[cm] - bx[G] by[G] bz[G]"``; ``-`` is a column
         that is not read. Numbers are separated by white space, commas or semicolons. Empty lines, lines that begin with
         ``#``, ``%``, ``!`` or ``//``, and lines of text before the first row of numbers are left out.
+    mirror : str or sequence of str
+        Axes x, y, z of which the file has one side of 0; the other side follows by the symmetry of a solenoid. By
+        default those with one side.
 
     Raises
     ------
@@ -301,7 +309,8 @@ def read_field_map(path: str | Path, columns: str = "") -> FieldGrid:
         found = _read_text(path, columns, problems)
     else:
         found = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix, _no_map)(path, problems)
-    grid = checked_grid(found, problems) if found is not None else None
+    mirrored = (mirror,) if isinstance(mirror, str) else mirror
+    grid = checked_grid(found, problems, mirrored) if found is not None else None
     if grid is None or problems:
         raise DetectorError(str(path), problems)
     return grid
@@ -315,8 +324,8 @@ def write_field_map(path: str | Path, columns: Mapping[str, Any], *, overwrite: 
     path : str or Path
         ``.npz`` or ``.csv``.
     columns : mapping of str to array_like
-        Axes r, z or x, y, z (one-dimensional, equidistant, mm), and components br, bz or bx, by, bz on the grid, the
-        axes in that order (T).
+        Axes r, z or x, y, z or r, phi, z (one-dimensional, equidistant, mm and rad), and components br, bz or bx, by,
+        bz (with phi also br, bphi, bz) on the grid, the axes in that order (T).
     overwrite : bool
         Whether a file of this name may be replaced.
 
@@ -345,14 +354,15 @@ def write_field_map(path: str | Path, columns: Mapping[str, Any], *, overwrite: 
     if path.suffix not in (".npz", ".csv"):
         _no_map(path, problems)
     arrays = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
-    axes, _ = names_in(arrays)
-    checked_grid({name: Column(array, "mm" if name in axes else "T") for name, array in arrays.items()}, problems)
+    dimensions = _dimensions(*names_in(arrays))
+    units = {name: NATIVE[dimensions.get(name, "field")] for name in arrays}
+    checked_grid({name: Column(array, units[name]) for name, array in arrays.items()}, problems)
     if problems:
         raise DetectorError(str(path), problems)
     with new_file(path, overwrite=overwrite) as temporary:
         if path.suffix == ".npz":
-            units = {_LENGTH: np.array("mm"), _FIELD: np.array("T")}
-            np.savez_compressed(temporary, **arrays, **units)  # type: ignore[arg-type]
+            texts = {_UNITS[dimension]: np.array(NATIVE[dimension]) for dimension in dimensions.values()}
+            np.savez_compressed(temporary, **arrays, **texts)  # type: ignore[arg-type]
         else:
             _write_csv(temporary, arrays)
     return path
@@ -364,7 +374,7 @@ def _write_csv(path: Path, arrays: Mapping[str, Floats]) -> None:
     rows = np.stack([*points, *(arrays[name] for name in components)], axis=-1).reshape(-1, len(axes) + len(components))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([f"{name}[mm]" for name in axes] + [f"{name}[T]" for name in components])
+        writer.writerow(f"{name}[{NATIVE[kind]}]" for name, kind in _dimensions(axes, components).items())
         writer.writerows([[repr(float(number)) for number in row] for row in rows])
 
 
@@ -397,10 +407,12 @@ def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
     except (OSError, ValueError) as error:
         problems.append(Problem("", str(error), "a .npz file of arrays"))
         return None
-    axes, components = names_in(found)
+    dimensions = _dimensions(*names_in(found))
+    units = {dimension: _UNITS[dimension] for dimension in dimensions.values()}
     # Names that no map has are noted with the grid.
-    columns: Columns = dict.fromkeys(sorted(found.keys() - {*axes, *components, _LENGTH, _FIELD}))
-    for unit, dimension, names in ((_LENGTH, "length", axes), (_FIELD, "field", components)):
+    columns: Columns = dict.fromkeys(sorted(found.keys() - {*dimensions, *units.values()}))
+    for dimension, unit in units.items():
+        names = [name for name, kind in dimensions.items() if kind == dimension]
         if unit in found:
             _check_unit(found[unit], dimension, unit, problems)
         else:
@@ -451,7 +463,7 @@ def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) ->
     matches = [_HEADER.fullmatch(name) for name in header]
     given = {match[1]: match[2] for match in matches if match}
     axes, components = names_in(given)
-    dimensions = dict.fromkeys(axes, "length") | dict.fromkeys(components, "field")
+    dimensions = _dimensions(axes, components)
     missing = [name for name in dimensions if name not in given]
     if missing:
         text = f"columns {', '.join(header) or 'none'}"

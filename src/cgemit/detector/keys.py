@@ -140,6 +140,7 @@ class Key(Quantity):
             "counts": "a list of at most 100 numbers from 0, not all 0",
             "cells": 'a whole number of cells, or their width such as "12 mm"',
             "angles": "an angle, or a list of angles to use in turn, in rad",
+            "mirrors": "z, x or y, or a list of these",
             "lengths": "a length, or a list of lengths to use in turn, in mm",
         }
         text = texts.get(self.kind) or describe(self.kind)

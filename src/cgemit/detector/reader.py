@@ -10,6 +10,7 @@ from typing import Any
 
 from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, joined, shown
 from cgemit.base.validate import NO, entries
+from cgemit.detector.field import MIRRORS
 from cgemit.detector.keys import CELLS, CENTRED, UNUSABLE, Key, Known, file_keys, keys_of, opened, plain, required_of
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer, Layer
 from cgemit.detector.layers.layer import STRIPS, SubLayer
@@ -254,6 +255,12 @@ class Reader:
         if points and (points[0].distance != 0 or any(b.distance <= a.distance for a, b in pairwise(points))):
             self.note(path, f"a list of {len(points)}", key.expected())
         return points
+
+    def _mirrors(self, path: str, raw: object, key: Key) -> Any:
+        given = raw if isinstance(raw, list) else [raw]
+        if not all(isinstance(name, str) and name in MIRRORS for name in given) or len(set(given)) < len(given):
+            return self.note(path, shown(raw), key.expected())
+        return tuple(sorted(given))
 
     def _points(self, path: str, raw: object, key: Key, kind: type) -> Any:
         if not isinstance(raw, list) or not 0 < len(raw) <= MOST_POINTS:
@@ -704,7 +711,9 @@ def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
     if kind is not None and kind != plain(old.get("kind")):
         base["field"] = {"bz": old["bz"]} if "bz" in old and kind != "map" else {}
     elif "file" in variant:
-        base["field"] = {name: value for name, value in old.items() if name not in ("bz", "checksum")}
+        base["field"] = {name: value for name, value in old.items() if name not in ("bz", "checksum", "mirror")}
+    elif "mirror" in variant:
+        base["field"] = {name: value for name, value in old.items() if name != "checksum"}
 
 
 def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> None:

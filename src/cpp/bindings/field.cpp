@@ -21,7 +21,8 @@ constexpr int most_points = 100'000;  // of an axis
 
 FieldMap make_field(double bz, double tolerance, double b, double q,
                     const std::vector<std::tuple<double, double, int>>& axes,
-                    const Array<double>& coefficients, std::optional<std::array<double, 2>> reach) {
+                    const Array<double>& coefficients, std::optional<std::array<double, 2>> reach,
+                    bool polar) {
   const bool numbers = std::isfinite(bz) && std::isfinite(b) && std::isfinite(q);
   if (!numbers || !(tolerance > 0 && tolerance < HUGE_VAL))
     throw std::invalid_argument("bz, b, q, tolerance: expected finite numbers, tolerance above 0");
@@ -33,8 +34,11 @@ FieldMap make_field(double bz, double tolerance, double b, double q,
     return map;
   }
   if (axes.size() != 2 && axes.size() != 3) throw std::invalid_argument("axes: expected two or three");
-  const bool is_box = axes.size() == 3;
-  FieldMap map{is_box ? FieldKind::box : FieldKind::cylinder, bz, 0, 0, {}, {}, tolerance};
+  if (polar && axes.size() != 3) throw std::invalid_argument("axes: expected three of a map in r, phi, z");
+  if (polar && !(std::get<0>(axes[0]) >= 0 && std::abs(std::get<0>(axes[1])) < 3.2))
+    throw std::invalid_argument("axes: expected r from 0 and phi from -pi or later");
+  const FieldKind kind = polar ? FieldKind::polar : axes.size() == 3 ? FieldKind::box : FieldKind::cylinder;
+  FieldMap map{kind, bz, 0, 0, {}, {}, tolerance};
   std::size_t size = axes.size();
   for (const auto& [first, step, points] : axes) {
     if (points < 2 || points > most_points || !(step > 0 && step < HUGE_VAL) || !std::isfinite(first))
@@ -120,7 +124,8 @@ void bind_field(py::module_& module) {
   py::class_<FieldMap>(module, "Field", "The magnetic field at a point.")
       .def(py::init(&make_field), py::kw_only(), py::arg("bz"), py::arg("tolerance"), py::arg("b") = 0.0,
            py::arg("q") = 0.0, py::arg("axes") = std::vector<std::tuple<double, double, int>>(),
-           py::arg_v("coefficients", Array<double>(0), "[]"), py::arg("reach") = py::none())
+           py::arg_v("coefficients", Array<double>(0), "[]"), py::arg("reach") = py::none(),
+           py::arg("polar") = false)
       .def_readonly("bz", &FieldMap::bz)
       .def_property_readonly("is_uniform", &FieldMap::is_uniform)
       .def("values", &values, py::arg("points"),

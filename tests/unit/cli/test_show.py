@@ -36,8 +36,8 @@ def test_detectors(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("detectors") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [
-        "belle2-like", "besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss", "besiii-pixel",
-        "cepc-like", "clas12-like", "epic-like", "idea-like", "kloe2-like", "stcf-like",
+        "babar-like", "belle2-like", "besiii-cgem", "besiii-cgem-design", "besiii-idc", "besiii-idc-boss",
+        "besiii-pixel", "cepc-like", "clas12-like", "epic-like", "idea-like", "kloe2-like", "stcf-like",
     ]  # fmt: skip
     assert call("detectors", "--json") == 0
     assert list(json.loads(capsys.readouterr().out)) == [line.split()[0] for line in lines]

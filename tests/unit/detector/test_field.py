@@ -10,6 +10,7 @@ import jsonschema
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
+from scipy.interpolate import CubicSpline
 
 import cgemit as cg
 from besiii_field import besiii_field
@@ -28,6 +29,8 @@ from cgemit.detector import (
     write_field_map,
 )
 from cgemit.detector.core import compiled_field, solenoid_field
+from cgemit.detector.export import write_files
+from cgemit.detector.parts import extent
 from fields import HARMONIC, box_grid, harmonic_by_hand, on_core
 
 RNG = np.random.default_rng(1)
@@ -363,7 +366,7 @@ def test_a_text_table_without_header_is_read_with_columns_and_units(tmp_path, se
         ("x[cm] y[cm] z[cm] bx[G] by[G] bz[G]", "row 1, 2, 3, 4, 5 and"),
         ("x[cm] y[cm] z[cm] - bx[G] by[G]", "no column bz"),
         ("x[cm] y[cm] z[cm] - bx[G] by[G] bz[ft]", 'unit "ft"'),
-        ("x[cm] y[cm] z[cm] phi[rad] bx[G] by[G] bz[G]", "columns phi[rad] that are not read"),
+        ("x[cm] y[cm] z[cm] time[ns] bx[G] by[G] bz[G]", "columns time[ns] that are not read"),
     ],
 )
 def test_mistakes_of_the_columns_of_a_text_table(tmp_path, columns, expected):
@@ -387,8 +390,22 @@ def test_a_map_tells_how_far_it_may_be_off(tmp_path, design_files, step):
     off = np.abs(field_at(detector, points)[:, [0, 2]] - truth).max()
     found = detector.field.grid.inaccuracy * detector.field.grid.largest()
     assert 0.5 * off < found < 30 * off
-    text = f"accurate to about {100 * detector.field.grid.inaccuracy:.1g} % of 1 T"
-    assert text in str(detector)
+    part = detector.field.grid.within(*extent(detector))
+    assert [axis.last >= reach for axis, reach in zip(part.axes, (760, 1150), strict=True)] == [True, True]
+    assert f"accurate to about {100 * part.inaccuracy:.1g} % of {part.largest():.3g} T in the detector" in str(detector)
+
+
+def test_the_accuracy_of_a_map_is_the_one_in_the_detector(tmp_path, design_files):
+    """A map that ends in the winding of its coil, where no grid follows it; the detector ends half a metre before."""
+    r, z = np.arange(0.0, 1501.0, 50.0), np.arange(-1600.0, 1601.0, 50.0)
+    br, bz = solenoid_field(1325.0, 1770.0, r[:, None], z)
+    path = write_field_map(tmp_path / "map.npz", {"r": r, "z": z, "br": br, "bz": bz})
+    detector = design_files.with_field({"kind": "map", "file": str(path), "bz": "2 T"})
+    grid = detector.field.grid
+    assert grid.inaccuracy > 0.02
+    part = grid.within(*extent(detector))
+    assert part.inaccuracy < 1e-3
+    assert f"{100 * part.inaccuracy:.1g} % of {2 * part.largest():.3g} T in the detector" in str(detector)
 
 
 def test_divergence_counts_as_inaccuracy(tmp_path):
@@ -600,20 +617,248 @@ def test_command_line_takes_fields(tmp_path, capsys):
     assert "one of besiii, besiii-harmonic" in capsys.readouterr().err
 
 
-def test_a_map_in_azimuth_is_refused_with_a_way_out(tmp_path: Path) -> None:
-    """It is no map in r and z with arrays too many."""
-    shape = (4, 5, 6)
-    axes = {"r": np.linspace(0, 900, 4), "phi": np.linspace(0, 2 * np.pi, 5), "z": np.linspace(-500, 500, 6)}
-    np.savez(
-        tmp_path / "map.npz",
-        **axes,
-        br=np.zeros(shape),
-        bphi=np.zeros(shape),
-        bz=np.ones(shape),
-        length_unit="mm",
-        field_unit="T",
+def swirl(x, y, z):
+    """Return the harmonic field with gradients of two scalar potentials: a quadrupole, and a skew field along z."""
+    b = harmonic_by_hand(x, y, z)
+    b[..., 0] += 2e-4 * y + 1e-7 * (y * z)
+    b[..., 1] += 2e-4 * x + 1e-7 * (x * z)
+    b[..., 2] += 1e-7 * x * y
+    return b
+
+
+def polar_columns(azimuths=24, closed=False, first=0.0, turning=True, field=swirl):
+    """Return the map of a field in r, phi, z."""
+    phi = first + 2 * np.pi / azimuths * np.arange(azimuths + closed)
+    axes = {"r": np.linspace(0, 800, 21), "phi": phi, "z": Z}
+    r, angle, z = np.meshgrid(*axes.values(), indexing="ij")
+    b = field(r * np.cos(angle), r * np.sin(angle), z)
+    if not turning:
+        return axes | {"bx": b[..., 0], "by": b[..., 1], "bz": b[..., 2]}
+    outward = np.cos(angle) * b[..., 0] + np.sin(angle) * b[..., 1]
+    around = -np.sin(angle) * b[..., 0] + np.cos(angle) * b[..., 1]
+    return axes | {"br": outward, "bphi": around, "bz": b[..., 2]}
+
+
+INSIDE = POINTS[np.hypot(POINTS[:, 0], POINTS[:, 1]) < 750]
+
+
+def scipy_polar(columns, points):
+    """Return the splines of a map in r, phi, z at points: along z, then around, then along the diameter."""
+    r, phi = columns["r"], np.append(columns["phi"], columns["phi"][0] + 2 * np.pi)
+    values = np.stack([columns[name] for name in ("bx", "by", "bz")], axis=-1)
+    found = []
+    for x, y, z in points:
+        around = CubicSpline(columns["z"], values, axis=2)(z)
+        turn = CubicSpline(phi, np.concatenate([around, around[:, :1]], axis=1), axis=1, bc_type="periodic")
+        here, opposite = turn(np.arctan2(y, x)), turn(np.arctan2(-y, -x))
+        diameter = CubicSpline(np.append(-r[:0:-1], r), np.concatenate([opposite[:0:-1], here]))
+        found.append(diameter(np.hypot(x, y)))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("azimuths", [24, 25])
+def test_a_map_in_azimuth_is_interpolated_as_by_scipy(tmp_path, design_files, azimuths):
+    """Within 1e-12 T of scipy's splines; odd numbers of azimuths have no point opposite."""
+    path = write_field_map(tmp_path / "map.npz", polar_columns(azimuths))
+    detector = design_files.with_field(path)
+    columns = detector.field.grid.columns
+    assert tuple(columns) == ("r", "phi", "z", "bx", "by", "bz")
+    points = np.concatenate([INSIDE[:20], [[0.3, 0.0, 100.0], [-0.2, 0.1, 5.0], [-2e-3, 0.0, 5.0]]])
+    expected = scipy_polar(columns, points)
+    # With an odd number the wave that is cut differs between the splines of here and of the opposite azimuth.
+    assert field_at(detector, points) == pytest.approx(expected, abs=1e-12 if azimuths == 24 else 1e-4)
+    # Within 1 um of the beam line the field is the one at this distance.
+    assert field_at(detector, [[0, 0, 7.0]]) == pytest.approx(scipy_polar(columns, [[0.0, 0.0, 7.0]]), abs=1e-6)
+    assert f"{azimuths} steps of phi, z = -1300 to 1300 mm" in str(detector)
+    assert np.isnan(field_at(detector, [[600.0, 600.0, 0.0], [0.0, 0.0, 1301.0]])).all()
+
+
+def test_a_map_in_azimuth_is_the_field_of_a_map_in_x_y_z(tmp_path, design_files):
+    detector = design_files.with_field(write_field_map(tmp_path / "polar.npz", polar_columns(36)))
+    axes = {"x": np.linspace(-800, 800, 33), "y": np.linspace(-800, 800, 33), "z": Z}
+    b = swirl(*np.meshgrid(*axes.values(), indexing="ij"))
+    box = design_files.with_field(
+        write_field_map(tmp_path / "box.npz", axes | {"bx": b[..., 0], "by": b[..., 1], "bz": b[..., 2]})
     )
+    assert field_at(detector, INSIDE) == pytest.approx(field_at(box, INSIDE), abs=1e-5)
+    assert field_at(detector, INSIDE) == pytest.approx(swirl(*INSIDE.T), abs=1e-5)
+    assert np.abs(field_at(detector, INSIDE) - harmonic_by_hand(*INSIDE.T)).max() > 0.1
+    assert detector.field.bz == pytest.approx(box.field.bz, abs=1e-9)
+    gun = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
+    tracks = [cg.run(one, gun, n=60, seed=1).tracks for one in (detector, box)]
+    assert (tracks[0]["status"] == 0).all()
+    for name in ("dr", "phi0", "kappa", "dz", "tanl"):
+        assert tracks[0][name] == pytest.approx(tracks[1][name], rel=1e-4, abs=1e-4)
+
+
+def test_gradients_of_a_map_in_azimuth_are_derivatives(tmp_path, design_files):
+    detector = design_files.with_field(write_field_map(tmp_path / "map.npz", polar_columns(36)))
+    core = compiled_field(detector)
+    assert core is not None
+    points = np.concatenate([INSIDE, [[0, 0, 300.0], [2e-3, -1e-3, 300.0], [-300.0, 0.0, 0.0], [-300.0, -0.0, 0.0]]])
+    _, gradient, inside = core.values(points)
+    assert inside.all()
+    for axis in range(3):
+        step = np.where(np.arange(3) == axis, 1e-2, 0.0)
+        difference = (core.values(points + step)[0] - core.values(points - step)[0]) / 2e-2
+        assert gradient[:, :, axis] == pytest.approx(difference, abs=1e-8)
+    assert np.abs(np.trace(gradient, axis1=1, axis2=2)).max() < 1e-3 * np.abs(gradient).max()
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".txt"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"closed": True},
+        {"first": np.radians(5)},
+        {"first": np.pi, "closed": True},
+        {"first": -np.pi, "turning": False},
+    ],
+    ids=str,
+)
+def test_maps_in_azimuth_of_all_forms_are_one_field(tmp_path, design_files, suffix, how):
+    """Azimuths in degrees, from any first one, with or without the last one; both kinds of components."""
+    whole = read_field_map(write_field_map(tmp_path / "whole.npz", polar_columns()))
+    columns = polar_columns(**how)
+    axes, components = list(columns)[:3], list(columns)[3:]
+    points = np.meshgrid(columns["r"] / 10, np.degrees(columns["phi"]), columns["z"] / 10, indexing="ij")
+    rows = np.column_stack([one.ravel() for one in (*points, *(1e4 * columns[name] for name in components))])
+    units = {"r": "cm", "phi": "deg", "z": "cm"} | dict.fromkeys(components, "G")
+    header = [f"{name}[{unit}]" for name, unit in units.items()]
+    path = tmp_path / f"map{suffix}"
+    if suffix == ".npz":
+        texts = {"length_unit": "cm", "angle_unit": "deg", "field_unit": "G"}
+        scaled = {"r": columns["r"] / 10, "phi": np.degrees(columns["phi"]), "z": columns["z"] / 10}
+        np.savez(path, **scaled, **{name: 1e4 * columns[name] for name in components}, **texts)
+    else:
+        text = "\n".join(",".join(f"{number:.12g}" for number in row) for row in rows)
+        path.write_text((",".join(header) + "\n" if suffix == ".csv" else "a map\n") + text)
+    grid = read_field_map(path, columns=" ".join(header) if suffix == ".txt" else "")
+    assert axes == ["r", "phi", "z"]
+    assert grid.axes[1].points == 24
+    assert -np.pi <= grid.axes[1].first < np.pi
+    one, other = (on_core(found) for found in (grid, whole))
+    tolerance = 1e-5 if "first" in how and how["first"] == np.radians(5) else 1e-9
+    assert one.values(INSIDE)[0] == pytest.approx(other.values(INSIDE)[0], abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"angle_unit": None}, ["angle_unit: got nothing, expected the unit of phi"]),
+        ({"angle_unit": "turn"}, ['angle_unit: got unit "turn"']),
+        ({"phi": np.linspace(0, np.pi, 24)}, ["phi: got 0 to 3.14159 rad, expected a whole turn"]),
+        ({"phi": np.linspace(0, 4 * np.pi, 25)[:-1]}, ["phi: got 0 to 12.0428 rad, expected a whole turn"]),
+        ({"phi": np.arange(24) ** 2.0}, ["phi: got steps from 1 to 45 rad"]),
+        ({"br": np.full((21, 24, 27), 0.5)}, ["br, bphi, bz: got components across that differ by up to 0.5"]),
+        ({"x": np.zeros(4), "bx": np.zeros(4)}, ["bx, x: got an array that is not read"]),
+        ({"bphi": None}, ["bphi: got nothing, expected an array bphi; a map has r, phi, z, br, bphi, bz"]),
+        ({"r": np.linspace(40, 800, 21)}, ["r: got 40 mm first, expected r = 0 first"]),
+    ],
+)
+def test_every_mistake_of_a_map_in_azimuth(tmp_path, changes, expected):
+    texts = {"length_unit": "mm", "angle_unit": "rad", "field_unit": "T"}
+    columns = polar_columns() | texts | changes
+    np.savez(tmp_path / "bad.npz", **{name: value for name, value in columns.items() if value is not None})
     with pytest.raises(DetectorError) as error:
-        read_field_map(tmp_path / "map.npz")
-    assert "bphi, phi: got an array that is not read" in str(error.value)
-    assert "values in x, y, z that are interpolated from those in r, phi, z" in str(error.value)
+        read_field_map(tmp_path / "bad.npz")
+    for text in expected:
+        assert text in str(error.value)
+    assert len(error.value.problems) == len(expected)
+
+
+def test_a_whole_turn_ends_with_the_field_it_begins_with(tmp_path):
+    columns = polar_columns(closed=True)
+    columns["bz"][:, -1] += 0.01
+    with pytest.raises(DetectorError, match=r"phi: got fields that differ by 0\.01 T after a whole turn"):
+        write_field_map(tmp_path / "map.npz", columns)
+
+
+def half(columns, *names):
+    """Return the part of a map at x, y or z from 0 on."""
+    axes = [name for name in columns if not name.startswith("b")]
+    parts = tuple(columns[name] > -1e-9 if name in names else slice(None) for name in axes)
+    found = {name: values[parts[axes.index(name)]] if name in axes else values for name, values in columns.items()}
+    for name in columns.keys() - set(axes):
+        for number, part in enumerate(parts):
+            found[name] = found[name].compress(part, axis=number) if not isinstance(part, slice) else found[name]
+    return found
+
+
+def test_a_half_map_in_azimuth_is_completed_in_z(tmp_path):
+    columns = polar_columns(field=harmonic_by_hand)
+    whole = read_field_map(write_field_map(tmp_path / "whole.csv", columns))
+    for mirror in (None, "z", ["z"]):
+        path = write_field_map(tmp_path / "half.csv", half(columns, "z"), overwrite=True)
+        found = read_field_map(path, mirror=mirror)
+        assert found.values == pytest.approx(whole.values, abs=1e-12)
+        assert (found.axes, found.mirrored) == (whole.axes, ("z",))
+
+
+def solenoid_box():
+    axes = {"x": np.linspace(-800, 800, 9), "y": np.linspace(-800, 800, 9), "z": Z}
+    b = harmonic_by_hand(*np.meshgrid(*axes.values(), indexing="ij"))
+    return axes | {"bx": b[..., 0], "by": b[..., 1], "bz": b[..., 2]}
+
+
+def test_a_detector_file_names_the_axes_to_mirror(tmp_path, monkeypatch):
+    """The key stays in written files; the map beside stored ones is complete."""
+    monkeypatch.chdir(tmp_path)
+    columns = solenoid_box()
+    write_field_map("octant.npz", half(columns, "x", "y", "z"))
+    field = {"kind": "map", "file": "octant.npz"}
+    detector = cg.load("besiii-cgem").with_field(field | {"mirror": ["x", "y", "z"]})
+    assert field_at(detector, INSIDE) == pytest.approx(harmonic_by_hand(*INSIDE.T), abs=1e-4)
+    assert "mirrored in x, y, z" in str(detector)
+    assert detector.field == cg.load("besiii-cgem").with_field(field).field
+    tables = tomllib.loads(detector.to_toml())
+    assert tables["field"]["mirror"] == ["x", "y", "z"]
+    jsonschema.validate(tables, schema())
+    assert cg.load(tables) == detector
+    (tmp_path / "stored").mkdir()
+    write_files(tmp_path / "stored", {"detector.toml": detector})
+    stored = cg.load(tmp_path / "stored" / "detector.toml")
+    assert stored == detector
+    assert "mirror" not in tomllib.loads((tmp_path / "stored" / "detector.toml").read_text())["field"]
+    other = write_field_map("other.npz", columns)
+    assert detector.with_overrides({"field.file": str(other)}).field.mirror is None
+
+
+@pytest.mark.parametrize(
+    ("mirror", "halves", "expected"),
+    [
+        ("z", "xyz", "x: got 0 to 800 mm, expected both sides of 0, or x in mirror"),
+        ([], "z", "z: got 0 to 1300 mm, expected both sides of 0, or z in mirror"),
+        (["z", "x"], "z", "mirror: got x, which goes from -800 to 800 mm, expected an axis with one side of 0"),
+        ("phi", "", "mirror: got phi, expected none but x, y, z, axes of the map"),
+    ],
+)
+def test_mistakes_of_mirrors(tmp_path, mirror, halves, expected):
+    path = write_field_map(tmp_path / "map.npz", half(solenoid_box(), *halves))
+    with pytest.raises(DetectorError) as error:
+        read_field_map(path, mirror=mirror)
+    assert expected in str(error.value)
+
+
+def test_a_named_mirror_allows_for_what_differs_from_symmetry_in_its_plane(tmp_path):
+    """Br of 4 mT at z = 0 in a map of up to 0.9 T: refused unless the mirror is named, then set to 0."""
+    columns = half(rz_columns(), "z")
+    columns["br"] = columns["br"] + 0.004 * (columns["z"] == 0) * (columns["r"] > 400)[:, None]
+    path = tmp_path / "map.npz"
+    np.savez(path, **columns, length_unit="mm", field_unit="T")
+    with pytest.raises(DetectorError, match=r"br: got up to 0.004 T at z = 0.*mirror = 'z' allows 0.0"):
+        read_field_map(path)
+    grid = read_field_map(path, mirror="z")
+    whole = read_field_map(write_field_map(tmp_path / "whole.npz", rz_columns()))
+    assert grid.values == pytest.approx(whole.values, abs=1e-12)
+    columns["br"] = columns["br"] + 0.02 * (columns["z"] == 0) * (columns["r"] > 400)[:, None]
+    np.savez(path, **columns, length_unit="mm", field_unit="T")
+    with pytest.raises(DetectorError, match=r"br: got up to 0.024 T at z = 0"):
+        read_field_map(path, mirror="z")
+
+
+@pytest.mark.parametrize("mirror", ["r", ["z", "z"], 3, "xyz"])
+def test_a_detector_file_mirrors_no_other_axes(tmp_path, mirror):
+    path = write_field_map(tmp_path / "map.npz", half(rz_columns(), "z"))
+    with pytest.raises(DetectorError, match=r"field\.mirror: got .*, expected z, x or y, or a list of these"):
+        cg.load("besiii-cgem").with_field({"kind": "map", "file": str(path), "mirror": mirror})

@@ -7,11 +7,11 @@
 
 namespace cgemit {
 
-enum class FieldKind { uniform, harmonic, cylinder, box };
+enum class FieldKind { uniform, harmonic, cylinder, box, polar };
 
 // One axis of a grid: equidistant points, with one additional coefficient beyond either end.
 struct GridAxis {
-  double first, step;  // mm
+  double first, step;  // mm; rad
   int points;
 
   double last() const { return first + step * (points - 1); }
@@ -41,8 +41,9 @@ struct FieldMap {
   // Bz = bz [1 - b (z^2 - r^2/2) + q (z^4 - 3 z^2 r^2 + 3 r^4/8)], and the Br that satisfies Maxwell's
   // equations with it.
   double b, q;  // mm^-2, mm^-4
-  // r, z with Br, Bz ("cylinder"), or x, y, z with Bx, By, Bz ("box"): the last axis runs fastest, then the
-  // component. A harmonic field has no coefficients; axes in r and z, if there are any, say where it holds.
+  // r, z with Br, Bz ("cylinder"), x, y, z ("box") or r, phi, z ("polar") with Bx, By, Bz: the last axis runs
+  // fastest, then the component. phi begins at or above -pi, and its last point is the first one after a
+  // whole turn. A harmonic field has no coefficients; axes in r and z, if there are any, say where it holds.
   std::vector<GridAxis> axes;
   std::vector<double> coefficients;
   double tolerance;  // mm, error allowed in one step of a track
@@ -62,12 +63,10 @@ inline FieldMap uniform_field(double bz) { return {FieldKind::uniform, bz, 0, 0,
 template <class T>
 mask_of<T> FieldMap::holds(const Vec3<T>& x) const {
   if (kind == FieldKind::box) return axes[0].holds(x.x) & axes[1].holds(x.y) & axes[2].holds(x.z);
-  if (axes.size() == 2) {
-    const T r2 = x.x * x.x + x.y * x.y;
-    const double first = axes[0].first, last = axes[0].last();
-    return (r2 >= first * first) & (r2 <= last * last) & axes[1].holds(x.z);
-  }
-  return mask_of<T>(true);
+  if (axes.empty()) return mask_of<T>(true);
+  const T r2 = x.x * x.x + x.y * x.y;
+  const double first = axes[0].first, last = axes[0].last();
+  return (r2 >= first * first) & (r2 <= last * last) & axes.back().holds(x.z);
 }
 
 }  // namespace cgemit

@@ -4,8 +4,10 @@
 #include <array>
 #include <bit>
 #include <cstring>
+#include <numbers>
 
 #include "common/lanes/integers.hpp"
+#include "common/lanes/math.hpp"
 #include "detector/field/field.hpp"
 
 namespace cgemit {
@@ -151,11 +153,33 @@ FieldValue<T> in_box(const FieldMap& map, const Vec3<T>& x) {
           {slopes(0), slopes(1), slopes(2)}};
 }
 
+// The splines in r, phi, z, with slopes turned to x and y.
+template <class T>
+FieldValue<T> around_turn(const FieldMap& map, const Vec3<T>& x) {
+  constexpr double on_axis = 1e-3,
+                   whole_turn = 2 * std::numbers::pi;  // mm; closer to the beam line: as there
+  const T distance = sqrt(x.x * x.x + x.y * x.y);
+  const mask_of<T> beside = distance > on_axis;
+  const T r = select(beside, distance, T(on_axis));
+  const T across = select(beside, x.x, T(on_axis)), up = select(beside, x.y, T(0.0));
+  const T azimuth = atan2(up, across);
+  const T phi = select(azimuth < map.axes[1].first, azimuth + whole_turn, azimuth);
+  const FieldValue<T> on_splines = in_box(map, Vec3<T>{r, phi, x.z});
+  const T cosine = across / r, sine = up / r;
+  const auto turned = [&](const Vec3<T>& slope) {
+    const T around = slope.y / r;
+    return Vec3<T>{cosine * slope.x - sine * around, sine * slope.x + cosine * around, slope.z};
+  };
+  const Mat3<T>& slope = on_splines.slope;
+  return {on_splines.b, {turned(slope.x), turned(slope.y), turned(slope.z)}};
+}
+
 }  // namespace field_values
 
 template <class T>
 FieldValue<T> FieldMap::at(const Vec3<T>& x) const {
   if (kind == FieldKind::box) return field_values::in_box(*this, x);
+  if (kind == FieldKind::polar) return field_values::around_turn(*this, x);
   if (kind != FieldKind::uniform) return field_values::around_axis(*this, x);
   const T zero(0.0);
   const Vec3<T> none{zero, zero, zero};
