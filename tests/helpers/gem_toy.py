@@ -9,6 +9,11 @@ RADIUS = 3335.6409519815204  # mm T/(GeV/c)
 DEGREE = np.pi / 180
 
 
+def in_place(name, n):
+    """Columns of the placement of n parts that are where they are described."""
+    return {f"{name}_shift": np.zeros((n, 3)), f"{name}_turn": np.tile(np.eye(3).ravel(), (n, 1))}
+
+
 def design_layers(drift_gap=5.0):
     """Columns of the three design layers (anode radii 87.5, 132.5, 175 mm, pitch 0.65 mm)."""
     r_readout = np.array([87.5, 132.5, 175.0])
@@ -33,9 +38,10 @@ def design_layers(drift_gap=5.0):
         "dead_ends": np.zeros(3),
         "lorentz_shift": np.zeros(3),
         "slope": np.zeros(3),
-        "has_x": np.ones(3, "u1"),
-        "has_v": np.ones(3, "u1"),
-        "phi_first": np.array([[np.pi, 0.0]] * 3),
+        "has_x": np.ones(3, bool),
+        "has_v": np.ones(3, bool),
+        "phi_first": np.tile([np.pi, 0.0], (3, _core.calibration.MOST_SHEETS // 2)),
+        **in_place("placement", 3),
         "sheets": sheets,
         "strips_x": strips_x,
         "strips_v": strips_v,
@@ -61,6 +67,14 @@ def wire_layers(sigma=0.13, sigma_slope=0.0, efficiency=1.0):
         "point_layer": np.repeat(np.arange(2, dtype="i4"), len(BESIII.time)),
         "point_distance": np.tile(BESIII.distance, 2),
         "point_time": np.tile(BESIII.time, 2),
+        "ramp_layer": np.zeros(0, "i4"),
+        "ramp_from": np.zeros(0),
+        "ramp_change": np.zeros(0),
+        "masked_layer": np.zeros(0, "i4"),
+        "masked_wire": np.zeros(0, "i4"),
+        **{f"{end}_{name}": np.zeros(2) for end in ("east", "west") for name in ("x", "y", "rotation")},
+        **in_place("placement", 2),
+        **in_place("chamber", 1),
     }
 
 

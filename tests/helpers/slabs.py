@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+import gem_toy
 from cgemit import _core
 
 ELECTRON, MUON, PION, KAON, PROTON = 0.51099895e-3, 0.1056583755, 0.13957039, 0.493677, 0.93827208816  # GeV
@@ -117,12 +118,11 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
              "lorentz_shift": 0.0, "slope": 0.0}  # fmt: skip
     cgem = {k: np.full(n_gaps, v + (gap_radius or 0) * k.startswith("r_")) for k, v in layer.items()}
     cgem |= {k: np.full(n_gaps, v, np.int32) for k, v in (("sheets", 1), ("strips_x", 800), ("strips_v", 900))}
-    cgem |= {"has_x": np.ones(n_gaps, np.uint8), "has_v": np.ones(n_gaps, np.uint8)}
-    cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, 2))}
-    real = ("r_end", "z_min", "z_max", "twist", "phi_east", "sigma", "sigma_slope", "efficiency",
-            "point_distance", "point_time")  # fmt: skip
-    whole = ("number", "cells", "gid_first", "point_layer")
-    wires = {k: np.zeros(0) for k in real} | {k: np.zeros(0, np.int32) for k in whole}
+    cgem |= {"has_x": np.ones(n_gaps, bool), "has_v": np.ones(n_gaps, bool)}
+    cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, _core.calibration.MOST_SHEETS))}
+    cgem |= gem_toy.in_place("placement", n_gaps)
+    wires = {name: column[:0] for name, column in gem_toy.wire_layers().items() if not name.startswith("chamber")}
+    wires |= gem_toy.in_place("chamber", 1)
     core = _core.detector.Detector(
         bz=bz, slabs=columns, log_terms=np.array(terms), composition=composition(elements), layers=cgem, wires=wires,
         screening=getattr(_core.matter.Screening, screening),

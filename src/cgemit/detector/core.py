@@ -20,7 +20,7 @@ from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, Sole
 from cgemit.detector.gas import gap_columns, gap_table
 from cgemit.detector.keys import once
 from cgemit.detector.layers import Layer
-from cgemit.detector.layers.layer import IN_PLACE
+from cgemit.detector.layers.layer import IN_PLACE, MOST_SHEETS, Placed
 from cgemit.detector.layers.wires import DriftChamber, WireLayer
 from cgemit.detector.material import Material
 from cgemit.detector.matter import hole_table, slabs
@@ -457,7 +457,10 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
 
 def layer_table(layers: Sequence[Layer]) -> Columns:
-    """Return the readout of layers as columns (n,): mm, rad, strips. phi_first is (n, most), placement (n, 12)."""
+    """Return the readout of layers as columns (n,): mm, rad, strips; see `MeasuringLayer` in ``detector/detector.hpp``.
+
+    phi_first is (n, MOST_SHEETS); placement_shift and placement_turn, rows of a rotation, are (n, 3) and (n, 9).
+    """
     names = ("r_readout", "r_gap_in", "r_gap_out", "stereo", "offset_v", "dead_seam", "dead_ends")
     numbers = np.array([[getattr(layer, name) for name in names] for layer in layers], dtype=np.float64)
     columns: Columns = dict(zip(names, numbers.reshape(-1, len(names)).T.copy(), strict=True))
@@ -465,17 +468,15 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     pitch = np.array([layer.pitches for layer in layers], dtype=np.float64).reshape(-1, 2).T
     columns |= {"pitch_x": pitch[0].copy(), "pitch_v": pitch[1].copy()}
     for view in "XV":
-        columns[f"has_{view.lower()}"] = np.array([view in layer.views for layer in layers], dtype=np.uint8)
+        columns[f"has_{view.lower()}"] = np.array([view in layer.views for layer in layers], dtype=np.bool_)
     columns["lorentz_shift"] = np.array([layer.lorentz_shift or 0.0 for layer in layers], dtype=np.float64)
     columns["slope"] = np.array([layer.error_slope for layer in layers], dtype=np.float64)
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
-    # A layer of fewer sheets than others repeats its azimuths: the core reads `sheets` of them.
-    most = max((layer.sheets for layer in layers), default=1)
-    edges = [(most * layer.sheet_phi)[:most] for layer in layers]
-    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, most)
-    placements = [layer.placement if layer.is_moved else IN_PLACE for layer in layers]
-    columns["placement"] = np.array(placements, dtype=np.float64).reshape(-1, 12)
+    # The azimuths are repeated: the core reads `sheets` of them.
+    edges = [(MOST_SHEETS * layer.sheet_phi)[:MOST_SHEETS] for layer in layers]
+    columns["phi_first"] = np.array(edges, dtype=np.float64).reshape(-1, MOST_SHEETS)
+    columns |= _placement_columns("placement", layers)
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
     return columns
@@ -486,17 +487,28 @@ def _end_columns(ends: Sequence[tuple[float, float]]) -> Columns:
     return {"z_min": low.copy(), "z_max": high.copy()}
 
 
+def _placement_columns(name: str, parts: Sequence[Placed]) -> Columns:
+    found = np.array([part.placement if part.is_moved else IN_PLACE for part in parts], np.float64).reshape(-1, 12)
+    return {f"{name}_shift": found[:, :3].copy(), f"{name}_turn": found[:, 3:].copy()}
+
+
 def wire_table(chamber: DriftChamber | None) -> Columns:
-    """Return the wire layers of a chamber as columns (n,): mm, rad; placement is (1, 12)."""
+    """Return the wire layers of a chamber as columns (n,): mm, rad; see `WireLayer` in ``detector/detector.hpp``.
+
+    Columns with the names ramp, point and masked have rows of their own, each with the number of its layer.
+    chamber_shift and chamber_turn are (1, 3) and (1, 9).
+    """
     if not chamber:
-        return _wire_columns((), (), IN_PLACE)
-    columns = _wire_columns(chamber.layers, chamber.gid_first, chamber.placement)
-    masked = wire_lists(chamber).masked
-    if len(masked):
-        rows = np.searchsorted(columns["gid_first"], masked, side="right") - 1
-        columns["masked_layer"] = rows.astype(np.int32)
-        columns["masked_wire"] = masked - np.asarray(columns["gid_first"], np.int32)[rows]
-    return columns
+        none = np.empty(0, np.int32)
+        return (
+            _wire_columns((), ())
+            | _placement_columns("chamber", [Placed()])
+            | {"masked_layer": none, "masked_wire": none}
+        )
+    columns = _wire_columns(chamber.layers, chamber.gid_first) | _placement_columns("chamber", [chamber])
+    masked, gid_first = wire_lists(chamber).masked, np.array(chamber.gid_first, np.int32)
+    rows = np.searchsorted(gid_first, masked, side="right") - 1
+    return columns | {"masked_layer": rows.astype(np.int32), "masked_wire": masked - gid_first[rows]}
 
 
 @once
@@ -504,18 +516,18 @@ def _placed(chamber: DriftChamber) -> _core.detector.Chamber:
     return _core.detector.Chamber(wire_table(chamber))
 
 
-def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int], placement: NDArray[np.float64]) -> Columns:
+def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int]) -> Columns:
     names = ("r_end", "twist", "phi_east", "sigma", "sigma_slope", "efficiency")
     columns: Columns = {name: np.array([getattr(layer, name) for layer in layers], dtype=np.float64) for name in names}
     columns |= _end_columns([layer.ends for layer in layers])
     for name in ("number", "cells"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)
     columns["gid_first"] = np.array(gid_first, dtype=np.int32)
-    columns["placement"] = placement.reshape(1, 12)
-    if any(layer.is_displaced for layer in layers):
-        placements = [layer.placement if layer.is_moved else IN_PLACE for layer in layers]
-        columns["layer_placement"] = np.array(placements, dtype=np.float64)
-        columns["end_shift"] = np.array([layer.end_shift for layer in layers], dtype=np.float64)
+    columns |= _placement_columns("placement", layers)
+    shifts = np.array([layer.end_shift for layer in layers], dtype=np.float64).reshape(-1, 6).T.copy()
+    columns |= dict(
+        zip((f"{end}_{name}" for end in ("east", "west") for name in ("x", "y", "rotation")), shifts, strict=True)
+    )
     return columns | _error_columns(layers, columns) | _relation_columns(layers)
 
 
@@ -540,8 +552,6 @@ def _error_columns(layers: Sequence[WireLayer], columns: Columns) -> Columns:
             slopes = [*(np.diff(errors) / np.diff(nodes)), 0.0]  # constant beyond the last point
             sigma[i], slope[i] = errors[0], slopes[0]
             ramps += [(i, node, new - old) for node, old, new in zip(nodes[1:], slopes[:-1], slopes[1:], strict=True)]
-    if not ramps:
-        return {"sigma": sigma, "sigma_slope": slope}
-    rows, starts, changes = zip(*ramps, strict=True)
-    found = {"ramp_from": np.array(starts, np.float64), "ramp_change": np.array(changes, np.float64)}
-    return {"sigma": sigma, "sigma_slope": slope, "ramp_layer": np.array(rows, np.int32), **found}
+    rows, starts, changes = np.array(ramps, np.float64).reshape(-1, 3).T
+    found = {"ramp_layer": rows.astype(np.int32), "ramp_from": starts.copy(), "ramp_change": changes.copy()}
+    return {"sigma": sigma, "sigma_slope": slope, **found}

@@ -351,6 +351,15 @@ def electron_table(shells: Sequence[Shell]) -> Floats:
     return np.column_stack([stopping, path, cut, a, soft, 1 / momentum])
 
 
+def _electron_columns(groups: Sequence[Sequence[Shell]]) -> dict[str, Floats]:
+    """Return the electron tables of groups of sub-layers by the names of their columns, (n, ELECTRON_POINTS) each."""
+    columns = np.moveaxis([electron_table(group) for group in groups], -1, 0)
+    return {name: column.copy() for name, column in zip(_ELECTRON_COLUMNS, columns, strict=True)}
+
+
+_ELECTRON_COLUMNS = ("stopping", "path", "cut", "screening", "soft", "per_momentum")
+
+
 def _groups(shells: Sequence[Shell], gap: int) -> list[list[Shell]]:
     """Return the sub-layers in groups of uniform matter for electrons: solids side by side far from the gap."""
     found: list[list[Shell]] = []
@@ -428,7 +437,7 @@ def gap_columns(layer: Layer) -> dict[str, Any]:
             "w_out": np.array([group[-1].r_out - layer.r_gap_in for group in groups]),
             "density": 0.1 * np.array(density),
             "depth": np.array(_depths(groups, gap)),
-            "electrons": np.array([electron_table(group).ravel() for group in groups]),
+            **_electron_columns(groups),
         },
         "gap": gap,
         "z_min": layer.ends[0],

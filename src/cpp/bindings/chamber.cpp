@@ -2,92 +2,82 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <tuple>
 #include <utility>
 
-#include "bindings/arrays.hpp"
+#include "bindings/fields.hpp"
 #include "common/angles.hpp"
 
 namespace py = pybind11;
 
 namespace cgemit::bindings {
 
-// A column with the placement of n parts: shift, then the rows of the rotation. Without it the parts are in
-// place.
-std::vector<Placement> placements_of(const py::dict& columns, std::size_t n, const char* name) {
-  std::vector<Placement> found(n);
-  if (!columns.contains(name)) return found;
-  const auto column = take<double>(columns, name);
-  const auto rows = matrix(column, name, static_cast<py::ssize_t>(n), 12);
-  for (std::size_t i = 0; i < n; ++i) {
-    const auto row = rows.subspan(12 * i, 12);
-    std::ranges::copy(row.first(3), found[i].shift.begin());
-    std::ranges::copy(row.last(9), found[i].turn.begin());
-    found[i].moved = found[i].shift != Placement().shift || found[i].turn != Placement().turn;
+namespace {
+
+// Rows of the layers: their numbers, counted from 0, and what belongs to them.
+struct RampRow {
+  std::int32_t layer;
+  ErrorRamp ramp;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("ramp_layer", &RampRow::layer), Column("ramp_", &RampRow::ramp));
   }
-  return found;
+};
+struct PointRow {
+  std::int32_t layer;
+  DriftPoint point;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("point_layer", &PointRow::layer), Column("point_", &PointRow::point));
+  }
+};
+struct MaskedRow {
+  std::int32_t layer, wire;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("masked_layer", &MaskedRow::layer), Column("masked_wire", &MaskedRow::wire));
+  }
+};
+// The chamber as a whole.
+struct ChamberRow {
+  Placement placement;
+
+  static constexpr auto columns() { return std::tuple(Column("chamber_", &ChamberRow::placement)); }
+};
+
+}  // namespace
+
+void set_moved(Placement& placement) {
+  placement.moved = placement.shift != Placement().shift || placement.turn != Placement().turn;
 }
 
-std::vector<WireLayer> make_wires(const py::dict& columns) {
-  const auto number = take<std::int32_t>(columns, "number"), cells = take<std::int32_t>(columns, "cells"),
-             gid_first = take<std::int32_t>(columns, "gid_first");
-  const auto r_end = take<double>(columns, "r_end"), z_min = take<double>(columns, "z_min"),
-             z_max = take<double>(columns, "z_max"), twist = take<double>(columns, "twist"),
-             phi_east = take<double>(columns, "phi_east"), sigma = take<double>(columns, "sigma"),
-             sigma_slope = take<double>(columns, "sigma_slope"),
-             efficiency = take<double>(columns, "efficiency");
-  const auto n = static_cast<std::size_t>(number.size());
-  std::vector<WireLayer> layers(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    WireLayer& layer = layers[i];
-    layer.number = number.at(i);
-    layer.cells = cells.at(i);
-    layer.r_end = r_end.at(i);
-    layer.ends = {z_min.at(i), z_max.at(i)};
-    layer.twist = twist.at(i);
-    layer.phi_east = phi_east.at(i);
-    layer.sigma = sigma.at(i);
-    layer.sigma_slope = sigma_slope.at(i);
-    layer.efficiency = efficiency.at(i);
-    layer.gid_first = gid_first.at(i);
-  }
-  const auto of_layer = [&](const Array<std::int32_t>& rows, py::ssize_t i) -> WireLayer& {
-    return layers.at(static_cast<std::size_t>(rows.at(i)));
+WireTable read_wires(const py::dict& columns, Problems& problems) {
+  WireTable table{.layers = Inputs(columns, "wires").read_rows<WireLayer>(problems), .chamber = {}};
+  const auto ramps = Inputs(columns, "wires").read_rows<RampRow>(problems);
+  const auto points = Inputs(columns, "wires").read_rows<PointRow>(problems);
+  const auto masked = Inputs(columns, "wires").read_rows<MaskedRow>(problems);
+  const auto chamber = Inputs(columns, "wires", 1).read_rows<ChamberRow>(problems);
+  if (!problems.empty()) return table;
+  const auto of_layer = [&](std::int32_t layer) -> WireLayer& {
+    return table.layers.at(static_cast<std::size_t>(layer));
   };
-  if (columns.contains("ramp_layer")) {
-    const auto layer = take<std::int32_t>(columns, "ramp_layer");
-    const auto from = take<double>(columns, "ramp_from"), change = take<double>(columns, "ramp_change");
-    for (py::ssize_t i = 0; i < layer.size(); ++i)
-      of_layer(layer, i).ramps.push_back({from.at(i), change.at(i)});
+  for (const RampRow& row : ramps) of_layer(row.layer).ramps.push_back(row.ramp);
+  for (const PointRow& row : points) of_layer(row.layer).relation.push_back(row.point);
+  for (const MaskedRow& row : masked) {
+    WireLayer& its = of_layer(row.layer);
+    its.masked.resize(static_cast<std::size_t>(std::max(its.cells, 0)));
+    its.masked.at(static_cast<std::size_t>(row.wire)) = 1;
   }
-  const auto point_layer = take<std::int32_t>(columns, "point_layer");
-  const auto distance = take<double>(columns, "point_distance"), time = take<double>(columns, "point_time");
-  for (py::ssize_t i = 0; i < point_layer.size(); ++i)
-    of_layer(point_layer, i).relation.push_back({distance.at(i), time.at(i)});
-  if (columns.contains("masked_layer")) {
-    const auto layer = take<std::int32_t>(columns, "masked_layer"),
-               wire = take<std::int32_t>(columns, "masked_wire");
-    for (py::ssize_t i = 0; i < layer.size(); ++i) {
-      WireLayer& its = of_layer(layer, i);
-      its.masked.resize(static_cast<std::size_t>(std::max(its.cells, 0)));
-      its.masked.at(static_cast<std::size_t>(wire.at(i))) = 1;
-    }
-  }
-  if (columns.contains("end_shift")) {
-    const auto column = take<double>(columns, "end_shift");
-    const auto rows = matrix(column, "end_shift", static_cast<py::ssize_t>(n), 6);
-    for (std::size_t i = 0; i < n; ++i) {
-      const auto row = rows.subspan(6 * i, 6);
-      layers[i].east = {row[0], row[1], row[2]};
-      layers[i].west = {row[3], row[4], row[5]};
-    }
-  }
-  const auto placements = placements_of(columns, n, "layer_placement");
-  for (std::size_t i = 0; i < n; ++i) layers[i].placement = placements[i];
-  return layers;
+  table.chamber = chamber.front().placement;
+  set_moved(table.chamber);
+  for (WireLayer& layer : table.layers) set_moved(layer.placement);
+  return table;
 }
 
-void check(Problems& problems, const std::vector<WireLayer>& wires) {
+void check(Problems& problems, const WireTable& table) {
   constexpr double most_cells = 1e6, most_layers = 65535;
+  const std::vector<WireLayer>& wires = table.layers;
   for (std::size_t i = 0; i < wires.size(); ++i) {
     const Part part(problems, "wires", i);
     part.within("number", wires[i].number, 0, most_layers);
@@ -101,7 +91,7 @@ void check(Problems& problems, const std::vector<WireLayer>& wires) {
     part.within("sigma_slope", wires[i].sigma_slope, -far, far);
     part.within("efficiency", wires[i].efficiency, 0, 1);
     for (const EndShift& end : {wires[i].east, wires[i].west})
-      for (const double one : {end.x, end.y, end.rotation}) part.within("end_shift", one, -far, far);
+      for (const double one : {end.x, end.y, end.rotation}) part.within("east, west", one, -far, far);
     const std::vector<DriftPoint>& points = wires[i].relation;
     part.within("points of the relation", static_cast<double>(points.size()), 2, far);
     for (std::size_t k = 0; k < points.size(); ++k) {
@@ -111,17 +101,18 @@ void check(Problems& problems, const std::vector<WireLayer>& wires) {
   }
 }
 
-Chamber in_place(std::vector<WireLayer>&& layers, const py::dict& columns) {
-  place_wires(layers, placements_of(columns, 1, "placement").front());
-  return {std::move(layers)};
+Chamber in_place(WireTable&& table) {
+  place_wires(table.layers, table.chamber);
+  return {std::move(table.layers)};
 }
 
 Chamber make_chamber(const py::dict& columns) {
-  std::vector<WireLayer> layers = make_wires(columns);
   Problems problems;
-  check(problems, layers);
+  WireTable table = read_wires(columns, problems);
   problems.raise("detector");
-  return in_place(std::move(layers), columns);
+  check(problems, table);
+  problems.raise("detector");
+  return in_place(std::move(table));
 }
 
 }  // namespace cgemit::bindings

@@ -3,7 +3,6 @@
 
 #include <pybind11/pybind11.h>
 
-#include <cstddef>
 #include <vector>
 
 #include "bindings/part.hpp"
@@ -16,11 +15,18 @@ struct Chamber {
   std::vector<WireLayer> layers;
 };
 
-std::vector<Placement> placements_of(const pybind11::dict& columns, std::size_t n, const char* name);
-std::vector<WireLayer> make_wires(const pybind11::dict& columns);
-void check(Problems& problems, const std::vector<WireLayer>& wires);
-// Wire layers that are checked with the rest of a detector; those of `make_chamber` were.
-Chamber in_place(std::vector<WireLayer>&& layers, const pybind11::dict& columns);
+// Wire layers as they are described, and how the chamber as a whole has moved.
+struct WireTable {
+  std::vector<WireLayer> layers;
+  Placement chamber;
+};
+
+void set_moved(Placement& placement);
+// Nothing but the columns that are right where there are problems.
+WireTable read_wires(const pybind11::dict& columns, Problems& problems);
+void check(Problems& problems, const WireTable& table);
+// Of wire layers that are checked.
+Chamber in_place(WireTable&& table);
 Chamber make_chamber(const pybind11::dict& columns);
 
 }  // namespace cgemit::bindings

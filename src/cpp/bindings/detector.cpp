@@ -6,12 +6,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <optional>
+#include <span>
+#include <string>
+#include <tuple>
 #include <utility>
 #include <variant>
 
-#include "bindings/arrays.hpp"
 #include "bindings/chamber.hpp"
+#include "bindings/fields.hpp"
 #include "bindings/gap.hpp"
 #include "bindings/matter.hpp"
 #include "common/angles.hpp"
@@ -27,113 +31,48 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// Components of slab i are rows first[i] to first[i + 1].
-void add_components(const py::dict& columns, std::vector<Slab>& slabs) {
-  const auto first = take<std::int32_t>(columns, "first");
-  const auto z = take<double>(columns, "z"), a = take<double>(columns, "a"),
-             moles = take<double>(columns, "moles");
-  const auto starts = column(first, "first", static_cast<py::ssize_t>(slabs.size()) + 1);
-  if (starts.front() != 0 || !std::ranges::is_sorted(starts))
+// Holes with the slab that has them.
+struct HoleRow {
+  std::int32_t slab;
+  Holes holes;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("slab", &HoleRow::slab), Column("", &HoleRow::holes));
+  }
+};
+
+// Slabs with their components, rows first[i] to first[i + 1] of slab i, and with the holes of those that are
+// parts of GEM foils. `lattice` also has the RNG counter's `place` of each slab; it may be empty.
+std::vector<Slab> read_slabs(const py::dict& columns, const Array<double>& log_terms,
+                             const py::dict& composition, const py::dict& lattice, Problems& problems) {
+  auto slabs = Inputs(columns, "slabs").read_rows<Slab>(problems);
+  const py::ssize_t n = problems.empty() ? static_cast<py::ssize_t>(slabs.size()) : -1;
+  Inputs of_components(composition, "composition", n < 0 ? -1 : n + 1), of_places(lattice, "lattice", n);
+  const auto first = of_components.get<std::int32_t>("first", problems);
+  const auto components = Inputs(composition, "composition").read_rows<Component>(problems);
+  std::span<const std::uint32_t> places;
+  std::vector<HoleRow> holes;
+  if (!lattice.empty()) {
+    places = of_places.get<std::uint32_t>("place", problems);
+    holes = Inputs(lattice, "lattice").read_rows<HoleRow>(problems);
+  }
+  if (!problems.empty()) return slabs;
+  const auto terms = matrix(log_terms, "log_terms", n, loss_points);
+  if (first.front() != 0 || !std::ranges::is_sorted(first))
     throw std::invalid_argument("first: expected to begin with 0 and not to decrease");
   for (std::size_t i = 0; i < slabs.size(); ++i) {
-    for (std::int32_t k = starts[i]; k < starts[i + 1]; ++k)
-      slabs[i].components.push_back({z.at(k), a.at(k), moles.at(k)});
+    for (std::size_t k = 0; k < loss_points; ++k) slabs[i].table[k].log_term = terms[i * loss_points + k];
+    for (std::int32_t k = first[i]; k < first[i + 1]; ++k)
+      slabs[i].components.push_back(components.at(static_cast<std::size_t>(k)));
+    slabs[i].place = places.empty() ? static_cast<std::uint32_t>(i) : places[i];
   }
-}
-
-std::vector<Slab> make_slabs(const py::dict& columns, const Array<double>& log_terms,
-                             const py::dict& composition) {
-  const auto r_in = take<double>(columns, "r_in"), r_out = take<double>(columns, "r_out"),
-             radius = take<double>(columns, "radius"), spread = take<double>(columns, "spread"),
-             z_min = take<double>(columns, "z_min"), z_max = take<double>(columns, "z_max"),
-             x0 = take<double>(columns, "x0"), xi = take<double>(columns, "xi");
-  const auto gap = take<std::int32_t>(columns, "gap");
-  const auto filler = take<std::uint8_t>(columns, "filler");
-  const auto n = static_cast<std::size_t>(r_in.size());
-  const auto terms = matrix(log_terms, "log_terms", r_in.size(), loss_points);
-  std::vector<Slab> slabs(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    Slab& slab = slabs[i];
-    slab.r_in = r_in.at(i);
-    slab.r_out = r_out.at(i);
-    slab.radius = radius.at(i);
-    slab.spread = spread.at(i);
-    slab.ends = {z_min.at(i), z_max.at(i)};
-    slab.x0 = x0.at(i);
-    slab.xi = xi.at(i);
-    slab.gap = gap.at(i);
-    slab.filler = static_cast<Filler>(filler.at(i));
-    for (std::size_t k = 0; k < loss_points; ++k) slab.table[k].log_term = terms[i * loss_points + k];
-  }
-  add_components(composition, slabs);
+  for (const HoleRow& row : holes) slabs.at(static_cast<std::size_t>(row.slab)).holes = row.holes;
   return slabs;
 }
 
-// Sets the slabs that are parts of GEM foils, their holes, and the RNG counter's `place` of each slab.
-void add_holes(const py::dict& columns, std::vector<Slab>& slabs) {
-  for (std::size_t i = 0; i < slabs.size(); ++i) slabs[i].place = static_cast<std::uint32_t>(i);
-  if (columns.empty()) return;
-  const auto place = take<std::uint32_t>(columns, "place");
-  const auto slab = take<std::int32_t>(columns, "slab"), foil = take<std::int32_t>(columns, "foil");
-  const auto pitch = take<double>(columns, "pitch"), waist = take<double>(columns, "waist"),
-             widening = take<double>(columns, "widening"), begin = take<double>(columns, "begin"),
-             end = take<double>(columns, "end");
-  const auto places = column(place, "place", static_cast<py::ssize_t>(slabs.size()));
-  for (std::size_t i = 0; i < slabs.size(); ++i) slabs[i].place = places[i];
-  for (py::ssize_t k = 0; k < slab.size(); ++k) {
-    slabs.at(static_cast<std::size_t>(slab.at(k))).holes = {foil.at(k),     pitch.at(k), waist.at(k),
-                                                            widening.at(k), begin.at(k), end.at(k)};
-  }
-}
-
-std::vector<MeasuringLayer> make_measuring_layers(const py::dict& columns) {
-  const auto r_readout = take<double>(columns, "r_readout"), r_gap_in = take<double>(columns, "r_gap_in"),
-             r_gap_out = take<double>(columns, "r_gap_out"), z_min = take<double>(columns, "z_min"),
-             z_max = take<double>(columns, "z_max"), pitch_x = take<double>(columns, "pitch_x"),
-             pitch_v = take<double>(columns, "pitch_v"), stereo = take<double>(columns, "stereo"),
-             offset_v = take<double>(columns, "offset_v"), phi_first = take<double>(columns, "phi_first");
-  const auto sheets = take<std::int32_t>(columns, "sheets"),
-             strips_x = take<std::int32_t>(columns, "strips_x"),
-             strips_v = take<std::int32_t>(columns, "strips_v"),
-             gid_first = take<std::int32_t>(columns, "gid_first");
-  const auto n = static_cast<std::size_t>(r_readout.size());
-  const auto width = phi_first.ndim() == 2 ? phi_first.shape(1) : 0;
-  const int most = static_cast<int>(std::min<py::ssize_t>(width, most_sheets));
-  const auto edges = matrix(phi_first, "phi_first", r_readout.size(), width);
-  const auto placements = placements_of(columns, n, "placement");
-  const auto dead_seam = take<double>(columns, "dead_seam"), dead_ends = take<double>(columns, "dead_ends"),
-             lorentz_shift = take<double>(columns, "lorentz_shift"), slope = take<double>(columns, "slope");
-  const auto has_x = take<std::uint8_t>(columns, "has_x"), has_v = take<std::uint8_t>(columns, "has_v");
-  std::vector<MeasuringLayer> layers(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    if (sheets.at(i) < 1 || sheets.at(i) > most)
-      throw std::invalid_argument("layer sheets: expected 1 to " + std::to_string(most) +
-                                  ", the columns of phi_first, " + std::to_string(most_sheets) + " at most");
-    layers[i] = {r_readout.at(i),
-                 r_gap_in.at(i),
-                 r_gap_out.at(i),
-                 {z_min.at(i), z_max.at(i)},
-                 pitch_x.at(i),
-                 pitch_v.at(i),
-                 stereo.at(i),
-                 offset_v.at(i),
-                 sheets.at(i),
-                 strips_x.at(i),
-                 strips_v.at(i),
-                 {},
-                 gid_first.at(i),
-                 0,
-                 0,
-                 placements[i],
-                 dead_seam.at(i),
-                 dead_ends.at(i),
-                 lorentz_shift.at(i),
-                 has_x.at(i) != 0,
-                 has_v.at(i) != 0,
-                 slope.at(i)};
-    std::ranges::copy(edges.subspan(i * static_cast<std::size_t>(width), static_cast<std::size_t>(most)),
-                      layers[i].phi_first.begin());
-  }
+std::vector<MeasuringLayer> read_layers(const py::dict& columns, Problems& problems) {
+  auto layers = Inputs(columns, "layers").read_rows<MeasuringLayer>(problems);
+  for (MeasuringLayer& layer : layers) set_moved(layer.placement);
   return layers;
 }
 
@@ -155,6 +94,7 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("x0", slabs[i].x0, 0, far);
     part.within("xi", slabs[i].xi, 0, far);
     part.within("gap", slabs[i].gap, -1, static_cast<double>(layers.size()) - 1);
+    part.within("filler", static_cast<double>(slabs[i].filler), 0, static_cast<double>(Filler::chamber_gas));
     for (const SlabPoint& point : slabs[i].table) part.within("log_terms", point.log_term, -far, far);
     for (const Component& one : slabs[i].components) {
       part.within("z", one.z, tiny, far);
@@ -177,11 +117,12 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("dead_ends", layers[i].dead_ends, 0, far);
     part.within("lorentz_shift", layers[i].lorentz_shift, -far, far);
     part.within("slope", layers[i].slope, 0, far);
+    part.within("sheets", layers[i].sheets, 1, most_sheets);
     part.within("strips_x", layers[i].strips_x, 1, most_strips);
     part.within("strips_v", layers[i].strips_v, 1, most_strips);
     for (const double phi : layers[i].phi_first) part.within("phi_first", phi, -far, far);
-    for (const double shift : layers[i].placement.shift) part.within("placement", shift, -far, far);
-    for (const double one : layers[i].placement.turn) part.within("placement", one, -1, 1);
+    for (const double shift : layers[i].placement.shift) part.within("placement_shift", shift, -far, far);
+    for (const double one : layers[i].placement.turn) part.within("placement_turn", one, -1, 1);
   }
 }
 
@@ -204,19 +145,17 @@ void bind_detector(py::module_& module) {
                        const std::variant<Chamber, py::dict>& wires, Screening screening,
                        const py::dict& lattice, const py::list& gaps, const std::optional<FieldMap>& field,
                        bool simulated) {
-             std::vector<Slab> made = make_slabs(slabs, log_terms, composition);
-             add_holes(lattice, made);
-             std::vector<MeasuringLayer> layers = make_measuring_layers(layer_columns);
-             const py::dict* columns = std::get_if<py::dict>(&wires);
-             std::vector<WireLayer> unplaced =
-                 columns != nullptr ? make_wires(*columns) : std::vector<WireLayer>();
-             std::vector<GapMatter> matter = make_gaps(gaps);
              Problems problems;
+             std::vector<Slab> made = read_slabs(slabs, log_terms, composition, lattice, problems);
+             std::vector<MeasuringLayer> layers = read_layers(layer_columns, problems);
+             const py::dict* columns = std::get_if<py::dict>(&wires);
+             WireTable unplaced = columns != nullptr ? read_wires(*columns, problems) : WireTable();
+             std::vector<GapMatter> matter = read_gaps(gaps, problems);
+             problems.raise("detector");
              check(problems, bz, made, layers, matter.size());
              check(problems, unplaced);
              problems.raise("detector");
-             Chamber chamber =
-                 columns != nullptr ? in_place(std::move(unplaced), *columns) : std::get<Chamber>(wires);
+             Chamber chamber = columns != nullptr ? in_place(std::move(unplaced)) : std::get<Chamber>(wires);
              Detector detector =
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(chamber.layers), std::move(matter));

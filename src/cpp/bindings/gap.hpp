@@ -8,6 +8,6 @@
 
 namespace cgemit::bindings {
 
-std::vector<GapMatter> make_gaps(const py::list& gaps);
+std::vector<GapMatter> read_gaps(const py::list& gaps, Problems& problems);
 
 }  // namespace cgemit::bindings

@@ -3,10 +3,11 @@
 #include <pybind11/native_enum.h>
 #include <pybind11/pybind11.h>
 
+#include <cstdint>
+#include <tuple>
 #include <utility>
-#include <vector>
 
-#include "bindings/arrays.hpp"
+#include "bindings/fields.hpp"
 #include "matter/decay_table.hpp"
 #include "matter/loss.hpp"
 #include "matter/scattering.hpp"
@@ -17,29 +18,34 @@ using namespace cgemit::bindings;
 
 namespace {
 
-// Modes and products come as flat columns: mode i belongs to species[of_species[i]], product k to mode
-// of_mode[k].
+// Modes and products with the rows of their species and modes.
+struct ModeRow {
+  std::int32_t species;
+  DecayMode mode;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("species", &ModeRow::species), Column("", &ModeRow::mode));
+  }
+};
+struct ProductRow {
+  std::int32_t mode;
+  DecayProduct product;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("mode", &ProductRow::mode), Column("", &ProductRow::product));
+  }
+};
+
 DecayTable make_decays(const py::dict& species, const py::dict& modes, const py::dict& products) {
-  const auto pdg = take<std::int32_t>(species, "pdg"), of_species = take<std::int32_t>(modes, "species"),
-             spectrum = take<std::int32_t>(modes, "spectrum"), of_mode = take<std::int32_t>(products, "mode"),
-             product_pdg = take<std::int32_t>(products, "pdg"),
-             charge = take<std::int32_t>(products, "charge");
-  const auto mass = take<double>(species, "mass"), lifetime = take<double>(species, "lifetime"),
-             fraction = take<double>(modes, "fraction"), product_mass = take<double>(products, "mass");
-  DecayTable table;
-  for (py::ssize_t i = 0; i < pdg.size(); ++i)
-    table.species.push_back({.pdg = pdg.at(i), .mass = mass.at(i), .lifetime = lifetime.at(i), .modes = {}});
-  std::vector<std::vector<DecayProduct>> products_of(static_cast<std::size_t>(of_species.size()));
-  for (py::ssize_t k = 0; k < of_mode.size(); ++k) {
-    products_of.at(static_cast<std::size_t>(of_mode.at(k)))
-        .push_back({.pdg = product_pdg.at(k), .charge = charge.at(k), .mass = product_mass.at(k)});
-  }
-  for (py::ssize_t i = 0; i < of_species.size(); ++i) {
-    table.species.at(static_cast<std::size_t>(of_species.at(i)))
-        .modes.push_back({.fraction = fraction.at(i),
-                          .spectrum = static_cast<DecaySpectrum>(spectrum.at(i)),
-                          .products = std::move(products_of[static_cast<std::size_t>(i)])});
-  }
+  Problems problems;
+  DecayTable table{.species = Inputs(species, "species").read_rows<UnstableSpecies>(problems)};
+  auto of_species = Inputs(modes, "modes").read_rows<ModeRow>(problems);
+  const auto of_modes = Inputs(products, "products").read_rows<ProductRow>(problems);
+  problems.raise("decays");
+  for (const ProductRow& row : of_modes)
+    of_species.at(static_cast<std::size_t>(row.mode)).mode.products.push_back(row.product);
+  for (ModeRow& row : of_species)
+    table.species.at(static_cast<std::size_t>(row.species)).modes.push_back(std::move(row.mode));
   for (const UnstableSpecies& one : table.species) check(one);
   return table;
 }

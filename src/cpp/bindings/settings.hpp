@@ -11,6 +11,7 @@
 
 #include <set>
 #include <string>
+#include <utility>
 
 #include "common/problems.hpp"
 
@@ -20,7 +21,7 @@ namespace py = pybind11;
 
 class Settings {
  public:
-  Settings(const char* what, const py::dict& values) : what_(what), values_(values) {}
+  Settings(std::string what, const py::dict& values) : what_(std::move(what)), values_(values) {}
 
   // Converts to the type of the field; a value that is missing or wrong is reported by `check`.
   class Value {
@@ -40,14 +41,22 @@ class Settings {
   // Throws std::invalid_argument, listing the names that are missing, unknown or have a value of another
   // type.
   void check() {
+    find_unknown();
+    problems_.raise(what_);
+  }
+  // The same for one of several parts of an input, whose problems are listed together.
+  void check(Problems& of_all) {
+    find_unknown();
+    of_all.add(problems_, what_);
+  }
+
+ private:
+  void find_unknown() {
     for (const auto& [name, value] : values_) {
       const auto given = py::str(name).cast<std::string>();
       if (!read_.contains(given)) problems_.add(given + ": no such field");
     }
-    problems_.raise(what_);
   }
-
- private:
   template <class T>
   T get(const char* name) {
     read_.insert(name);
@@ -57,11 +66,12 @@ class Settings {
     }
     try {
       return py::cast<T>(values_[name]);
-    } catch (const py::cast_error&) {
-      problems_.add(std::string(name) + ": got " + py::repr(values_[name]).cast<std::string>() +
-                    ", which has another type than the field");
-      return {};
+    } catch (const py::cast_error&) {         // of a number
+    } catch (const py::error_already_set&) {  // of an array or a dict
     }
+    problems_.add(std::string(name) + ": got " + py::repr(values_[name]).cast<std::string>() +
+                  ", which has another type than the field");
+    return {};
   }
 
   std::string what_;

@@ -18,11 +18,11 @@ namespace {
 using Elements = std::vector<std::tuple<std::int64_t, double, double, double>>;
 
 Material make_material(double x0, double xi, const Array<double>& log_term, const Elements& elements) {
-  Material made{x0, xi, {}, {}, {}};
+  Material made{.x0 = x0, .xi = xi, .log_term = {}, .components = {}, .elements = {}};
   std::ranges::copy(column(log_term, "log_term", loss_points), made.log_term.begin());
   for (const auto& [number, z, a, moles] : elements) {
     made.elements.push_back(number);
-    made.components.push_back({z, a, moles});
+    made.components.push_back({.z = z, .a = a, .moles = moles});
   }
   return made;
 }
@@ -34,7 +34,7 @@ py::tuple sum_of(const std::vector<const Material*>& materials, const std::vecto
   std::vector<MaterialShell> shells;
   for (std::size_t i = 0; i < materials.size(); ++i) {
     if (materials[i] == nullptr) throw std::invalid_argument("sum_shells: got None, expected a Material");
-    shells.push_back({materials[i], r_in[i], r_out[i]});
+    shells.push_back({.material = materials[i], .r_in = r_in[i], .r_out = r_out[i]});
   }
   ShellSums sums = sum_shells(shells);
   std::vector<double> elements;

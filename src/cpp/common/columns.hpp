@@ -1,11 +1,15 @@
 // Tables as one vector per column. A struct `Row` names its columns once, in order:
 //   static constexpr auto columns() { return std::tuple(Column("event", &Row::event), ...); }
+// A field that is an array is one column of rows. A field that is a struct with columns has those, whose
+// names follow its own.
 #pragma once
 
 #include <cstddef>
 #include <cstring>
+#include <span>
 #include <tuple>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "common/compiler.hpp"
@@ -50,6 +54,10 @@ class Columns {
     next() = row;
     keep();
   }
+  void append(std::span<const Row> rows) {
+    write();
+    store(rows);
+  }
   std::size_t size() const { return n_written_ + n_waiting_; }
   void reserve(std::size_t n) {
     each([n](const auto&, auto& values) { values.reserve(n); });
@@ -64,13 +72,14 @@ class Columns {
  private:
   static constexpr std::size_t block = 64;  // rows that wait together: one loop for each column
 
-  void write() {
-    each([this](const auto& column, auto& values) {
-      append_members(reinterpret_cast<const std::byte*>(&(waiting_.front().*column.value)), sizeof(Row),
-                     n_waiting_, values);
+  void write() { store(std::span<const Row>(waiting_).first(std::exchange(n_waiting_, 0))); }
+  void store(std::span<const Row> rows) {
+    if (rows.empty()) return;
+    each([rows](const auto& column, auto& values) {
+      append_members(reinterpret_cast<const std::byte*>(&(rows.front().*column.value)), sizeof(Row),
+                     rows.size(), values);
     });
-    n_written_ += n_waiting_;
-    n_waiting_ = 0;
+    n_written_ += rows.size();
   }
 
   template <class F>

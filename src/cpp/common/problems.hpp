@@ -27,6 +27,11 @@ class Problems {
     if (lines_.size() < most) lines_.push_back(std::move(text));
     ++count_;
   }
+  // Adds those of a part of the input.
+  void add(const Problems& part, const std::string& where) {
+    for (const std::string& line : part.lines_) add(where + " " + line);
+    skip(part.count_ - part.lines_.size());
+  }
   // Counts problems of which no text was made.
   void skip(std::size_t count) { count_ += count; }
   bool empty() const { return count_ == 0; }

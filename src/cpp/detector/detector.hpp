@@ -1,14 +1,17 @@
 // The detector in the core: plain numbers, ordered from the beam line outward, made by `cgemit.detector` from
-// the user's description. Lengths in mm, angles in rad, field in T.
+// the user's description, whose columns the structs name (common/columns.hpp). Lengths in mm, angles in rad,
+// field in T.
 #pragma once
 
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <memory>
+#include <tuple>
 #include <utility>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "detector/field/field.hpp"
 #include "detector/gap.hpp"
 
@@ -38,12 +41,21 @@ struct Ends {
   }
   double half() const { return 0.5 * (high - low); }
   double middle() const { return 0.5 * (low + high); }
+
+  static constexpr auto columns() {
+    return std::tuple(Column("min", &Ends::low), Column("max", &Ends::high));
+  }
 };
 
 // One chemical element of a slab.
 struct Component {
   double z, a;   // atomic number and weight, g/mol
   double moles;  // mol/cm^2 at normal incidence
+
+  static constexpr auto columns() {
+    return std::tuple(Column("z", &Component::z), Column("a", &Component::a),
+                      Column("moles", &Component::moles));
+  }
 };
 
 // One point of the loss table.
@@ -71,6 +83,12 @@ struct Holes {
   double waist;  // mm
   double widening;
   double begin, end;  // mm, where the slab begins and ends, outward from the middle of the foil
+
+  static constexpr auto columns() {
+    return std::tuple(Column("foil", &Holes::foil), Column("pitch", &Holes::pitch),
+                      Column("waist", &Holes::waist), Column("widening", &Holes::widening),
+                      Column("begin", &Holes::begin), Column("end", &Holes::end));
+  }
 };
 
 // What fills the space between parts.
@@ -116,14 +134,26 @@ struct alignas(64) Slab {
   double hard_from;  // (GeV/c)^2
   double hard_rate;  // times 1/beta^2: their expected number
   std::vector<HardScatterer> hard;
+
+  // Components, holes and table come in tables of their own.
+  static constexpr auto columns() {
+    return std::tuple(Column("r_in", &Slab::r_in), Column("r_out", &Slab::r_out),
+                      Column("radius", &Slab::radius), Column("spread", &Slab::spread),
+                      Column("z_", &Slab::ends), Column("x0", &Slab::x0), Column("xi", &Slab::xi),
+                      Column("gap", &Slab::gap), Column("filler", &Slab::filler));
+  }
 };
 
 // Where a part is, against its place in the description. A point p of the beam's axes is turn (p - shift) in
 // the part's own.
 struct Placement {
-  bool moved = false;
+  bool moved = false;                                     // derived
   std::array<double, 3> shift{};                          // mm
   std::array<double, 9> turn{1, 0, 0, 0, 1, 0, 0, 0, 1};  // rows of a rotation
+
+  static constexpr auto columns() {
+    return std::tuple(Column("shift", &Placement::shift), Column("turn", &Placement::turn));
+  }
 };
 
 inline constexpr int most_sheets = 8;  // of a layer
@@ -142,15 +172,29 @@ struct MeasuringLayer {
   int sheets;
   int strips_x;                               // per sheet
   int strips_v;                               // per sheet
-  std::array<double, most_sheets> phi_first;  // rad, edge of each sheet (X = 0)
+  std::array<double, most_sheets> phi_first;  // rad, edge of each sheet (X = 0); others are not read
   int gid_first;                  // running number of the layer's first strip: sheet by sheet, X then V
-  double cos_stereo, sin_stereo;  // of the stereo angle
+  double cos_stereo, sin_stereo;  // derived, of the stereo angle
   Placement placement = {};
   double dead_seam = 0;             // mm, width about each edge of a sheet where nothing is measured
   double dead_ends = 0;             // mm, length at each end of the layer where nothing is measured
   double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in readouts without drift
   bool has_x = true, has_v = true;  // views that are measured
   double slope = 0;                 // growth of errors with the projected path, added in quadrature
+
+  static constexpr auto columns() {
+    return std::tuple(
+        Column("r_readout", &MeasuringLayer::r_readout), Column("r_gap_in", &MeasuringLayer::r_gap_in),
+        Column("r_gap_out", &MeasuringLayer::r_gap_out), Column("z_", &MeasuringLayer::ends),
+        Column("pitch_x", &MeasuringLayer::pitch_x), Column("pitch_v", &MeasuringLayer::pitch_v),
+        Column("stereo", &MeasuringLayer::stereo), Column("offset_v", &MeasuringLayer::offset_v),
+        Column("sheets", &MeasuringLayer::sheets), Column("strips_x", &MeasuringLayer::strips_x),
+        Column("strips_v", &MeasuringLayer::strips_v), Column("phi_first", &MeasuringLayer::phi_first),
+        Column("gid_first", &MeasuringLayer::gid_first), Column("placement_", &MeasuringLayer::placement),
+        Column("dead_seam", &MeasuringLayer::dead_seam), Column("dead_ends", &MeasuringLayer::dead_ends),
+        Column("lorentz_shift", &MeasuringLayer::lorentz_shift), Column("has_x", &MeasuringLayer::has_x),
+        Column("has_v", &MeasuringLayer::has_v), Column("slope", &MeasuringLayer::slope));
+  }
 
   bool has(bool x) const { return x ? has_x : has_v; }
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
@@ -191,6 +235,10 @@ class PlacedWires {
 struct ErrorRamp {
   double from;    // mm
   double change;  // of the slope from there on
+
+  static constexpr auto columns() {
+    return std::tuple(Column("from", &ErrorRamp::from), Column("change", &ErrorRamp::change));
+  }
 };
 
 // A point of the relation of drift distance and time.
@@ -198,12 +246,21 @@ struct DriftPoint {
   double distance, time;  // mm, ns
 
   bool operator==(const DriftPoint&) const = default;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("distance", &DriftPoint::distance), Column("time", &DriftPoint::time));
+  }
 };
 
 // How far the wires of a layer are displaced at one end: turned about the beam line, then shifted.
 struct EndShift {
   double x = 0, y = 0;  // mm
   double rotation = 0;  // rad
+
+  static constexpr auto columns() {
+    return std::tuple(Column("x", &EndShift::x), Column("y", &EndShift::y),
+                      Column("rotation", &EndShift::rotation));
+  }
 };
 
 // One layer of drift cells around straight, possibly stereo, wires. Cells and their borders are where the
@@ -234,6 +291,17 @@ struct WireLayer {
   std::vector<ErrorRamp> ramps;  // of the error, where it is no straight line
   // Between these its wires are neighbours of those of other layers.
   Ends borders{-HUGE_VAL, HUGE_VAL};
+
+  // Masked wires, relation and ramps come in rows of their own.
+  static constexpr auto columns() {
+    return std::tuple(Column("number", &WireLayer::number), Column("cells", &WireLayer::cells),
+                      Column("r_end", &WireLayer::r_end), Column("z_", &WireLayer::ends),
+                      Column("twist", &WireLayer::twist), Column("phi_east", &WireLayer::phi_east),
+                      Column("sigma", &WireLayer::sigma), Column("sigma_slope", &WireLayer::sigma_slope),
+                      Column("efficiency", &WireLayer::efficiency),
+                      Column("gid_first", &WireLayer::gid_first), Column("east_", &WireLayer::east),
+                      Column("west_", &WireLayer::west), Column("placement_", &WireLayer::placement));
+  }
 
   bool has_borders() const { return borders.low > -HUGE_VAL || borders.high < HUGE_VAL; }
   bool is_masked(std::size_t wire) const { return !masked.empty() && masked[wire] != 0; }

@@ -4,7 +4,10 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <tuple>
 #include <vector>
+
+#include "common/columns.hpp"
 
 namespace cgemit {
 
@@ -25,6 +28,13 @@ struct ElectronPoint {
   double screening;
   double soft;          // 1/mm, mean of mu by soft scatters
   double per_momentum;  // 1/(GeV/c)
+
+  static constexpr auto columns() {
+    return std::tuple(Column("stopping", &ElectronPoint::stopping), Column("path", &ElectronPoint::path),
+                      Column("cut", &ElectronPoint::cut), Column("screening", &ElectronPoint::screening),
+                      Column("soft", &ElectronPoint::soft),
+                      Column("per_momentum", &ElectronPoint::per_momentum));
+  }
 };
 
 // A sub-layer at a drift gap. Positions w here and below are in mm, outward from the inner edge of the gap.
@@ -33,6 +43,12 @@ struct ElectronLayer {
   double density;      // g/cm2 per mm
   double depth;        // g/cm2 between its near face and the gap
   std::array<ElectronPoint, electron_points> at;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("w_in", &ElectronLayer::w_in), Column("w_out", &ElectronLayer::w_out),
+                      Column("density", &ElectronLayer::density), Column("depth", &ElectronLayer::depth),
+                      Column("", &ElectronLayer::at));
+  }
 };
 
 // Matter at one depth in front of the gap or behind it, from which electrons may reach the gap.
@@ -40,6 +56,11 @@ struct DeltaSlice {
   double w_in, w_out;   // mm
   double least_energy;  // keV; electrons of lower energy do not reach the gap
   double rate;          // xi/least_energy at normal incidence, summed over the slices up to this one
+
+  static constexpr auto columns() {
+    return std::tuple(Column("w_in", &DeltaSlice::w_in), Column("w_out", &DeltaSlice::w_out),
+                      Column("least_energy", &DeltaSlice::least_energy), Column("rate", &DeltaSlice::rate));
+  }
 };
 
 // A drift gap, the cathode in front of it, foils and anode behind it. A sensor without gas has no layers: its

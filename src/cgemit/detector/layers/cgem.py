@@ -16,6 +16,7 @@ from cgemit.base.errors import Problem, Problems
 from cgemit.detector.keys import CENTRED, Key, key, keys_of, once, plain
 from cgemit.detector.layers.layer import (
     FAR,
+    MOST_SHEETS,
     READOUT_KEY,
     ROTATION,
     Layer,
@@ -76,7 +77,7 @@ class CgemLayer(Layer):
         metadata=key("length", "radius at which X is measured, minus anode_radius", -5.0, 5.0), default=0.0
     )
     length: float = field(metadata=key("length", "active length along the beam", 10.0, 5000.0))  # mm
-    sheets: int = field(metadata=key("integer", "number of readout sheets around the layer", 1, 8))
+    sheets: int = field(metadata=key("integer", "number of readout sheets around the layer", 1, MOST_SHEETS))
     phi_first: float = field(metadata=key("angle", "azimuth of X = 0 of the first sheet", -2 * math.pi, 2 * math.pi))
     pitch_x: float = field(metadata=key("length", "pitch of the X strips", 0.01, 20.0))  # mm
     pitch_v: float = field(metadata=key("length", "pitch of the V strips", 0.01, 20.0))  # mm

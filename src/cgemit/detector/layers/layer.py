@@ -87,6 +87,9 @@ class Placed(Part):
 PLACEMENT = ("shift_x", "shift_y", "shift_z", "tilt_x", "tilt_y", "rotation")
 
 
+#: Largest number of readout sheets of a layer, as in the core's ``detector/detector.hpp``.
+MOST_SHEETS = 8
+
 #: Placement of a part that is where the description puts it.
 IN_PLACE = Placed().placement
 

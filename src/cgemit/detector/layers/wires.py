@@ -250,11 +250,6 @@ class WireLayer(Placed, Bounded):
         """Displacement of the ends, (6,): x, y (mm) and rotation (rad) of those at +z, then of those at -z."""
         return tuple(getattr(self, name) for name in END_SHIFT)
 
-    @property
-    def is_displaced(self) -> bool:
-        """Whether the layer or an end of it is anywhere but where the description puts it in the chamber."""
-        return self.is_moved or any(self.end_shift)
-
     def wire_ends(self, wires: Any) -> Floats:
         """Return the ends of wires in the axes of the chamber, (n, 2, 3) mm: those at +z, then those at -z.
 
