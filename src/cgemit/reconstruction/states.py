@@ -81,7 +81,7 @@ def state_columns(
         hits=hits.columns() | used,
         reference=fitted["reference"],
         kinks=fitted["kinks"].reshape(len(fitted["reference"]), 2 * len(slabs(detector))),
-        prior=fitted["prior"],
+        prior=fitted["prior"].reshape(-1, 25),
         mass=mass,
         charge=np.asarray(tracks["charge"], np.float64),
         matter_p=fitted["matter_p"],

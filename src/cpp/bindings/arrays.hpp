@@ -47,15 +47,34 @@ std::span<const T> matrix(const Array<T>& array, const char* name, py::ssize_t r
   return {array.data(), static_cast<std::size_t>(array.size())};
 }
 
+// The numbers of an entry of a column, and its shape: one number, or an array of entries.
+template <class T>
+struct EntryOf {
+  using Number = T;
+  static void add_shape(std::vector<py::ssize_t>&) {}
+};
+template <class T, std::size_t N>
+struct EntryOf<std::array<T, N>> {
+  using Number = typename EntryOf<T>::Number;
+  static void add_shape(std::vector<py::ssize_t>& shape) {
+    shape.push_back(static_cast<py::ssize_t>(N));
+    EntryOf<T>::add_shape(shape);
+  }
+};
+
 // Numpy array that owns the vector's memory.
 template <class T>
   requires(!std::is_enum_v<T>)
-py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape = {}) {
-  if (shape.empty()) shape = {static_cast<py::ssize_t>(values.size())};
+auto to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape = {}) {
+  using Number = typename EntryOf<T>::Number;
+  if (shape.empty()) {
+    shape = {static_cast<py::ssize_t>(values.size())};
+    EntryOf<T>::add_shape(shape);
+  }
   auto owner = std::make_unique<std::vector<T>>(std::move(values));
-  T* data = owner->data();
+  const void* data = owner->data();
   py::capsule capsule(owner.release(), [](void* p) { delete static_cast<std::vector<T>*>(p); });
-  py::array_t<T> array(std::move(shape), data, capsule);
+  py::array_t<Number> array(std::move(shape), static_cast<const Number*>(data), capsule);
   py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
   return array;
 }
@@ -70,20 +89,20 @@ auto to_numpy(std::vector<T>&& values) {
   return to_numpy(std::move(numbers));
 }
 
-template <class Row>
-py::dict to_dict(Columns<Row>&& table) {
-  py::dict columns;
-  table.each_column([&](const char* name, auto& values) { columns[name] = to_numpy(std::move(values)); });
-  return columns;
-}
-
-// A table of a struct of vectors.
+// Adds the columns of a table to a dict: of `Columns`, or of a struct of vectors.
 template <class Table>
-  requires requires { Table::columns(); }
+void add_columns(Table&& table, py::dict& to) {
+  const auto add = [&](const char* name, auto& values) { to[name] = to_numpy(std::move(values)); };
+  if constexpr (requires { Table::columns(); }) {
+    std::apply([&](const auto&... one) { (add(one.name, table.*one.value), ...); }, Table::columns());
+  } else {
+    table.each_column(add);
+  }
+}
+template <class Table>
 py::dict to_dict(Table&& table) {
   py::dict columns;
-  std::apply([&](const auto&... one) { ((columns[one.name] = to_numpy(std::move(table.*one.value))), ...); },
-             Table::columns());
+  add_columns(std::move(table), columns);
   return columns;
 }
 

@@ -5,9 +5,8 @@
 
 #include "bindings/hits.hpp"
 #include "bindings/interrupt.hpp"
-#include "bindings/rows.hpp"
+#include "bindings/settings.hpp"
 #include "calibration/sums.hpp"
-#include "common/angles.hpp"
 #include "common/problems.hpp"
 #include "detector/start_radius.hpp"
 #include "kernels/kernels.hpp"
@@ -20,91 +19,70 @@ namespace {
 
 constexpr int most_columns = 3000;  // of a dense matrix of normal equations
 
-// Numbers of columns from Python: -1, or below the number of columns.
-class ColumnNumbers {
- public:
-  ColumnNumbers(const py::dict& given, int columns) : given_(given), columns_(columns) {}
+using Numbers = Array<std::int32_t>;
 
-  // A flat list of `size` numbers.
-  std::vector<int> take(const char* name, std::size_t size) const {
-    const auto array = bindings::take<std::int32_t>(given_, name);
-    if (array.size() != static_cast<py::ssize_t>(size))
-      throw std::invalid_argument(std::string("columns: ") + name + ": expected " + std::to_string(size) +
-                                  " numbers");
-    std::vector<int> numbers(array.data(), array.data() + size);
-    for (const int number : numbers)
-      if (number < -1 || number >= columns_)
-        throw std::invalid_argument(std::string("columns: ") + name + ": no such column");
-    return numbers;
-  }
-  std::vector<RigidColumns> rigid(const char* name, std::size_t parts) const {
-    const std::vector<int> numbers = take(name, 6 * parts);
-    std::vector<RigidColumns> found(parts);
-    for (std::size_t i = 0; i < numbers.size(); ++i) found[i / 6][i % 6] = numbers[i];
-    return found;
-  }
+// A flat list of `size` numbers of columns: -1, or below the number of columns.
+std::vector<int> numbers_of(const Numbers& given, const char* name, std::size_t size, int columns) {
+  if (given.size() != static_cast<py::ssize_t>(size))
+    throw std::invalid_argument(std::string("columns: ") + name + ": expected " + std::to_string(size) +
+                                " numbers");
+  std::vector<int> numbers(given.data(), given.data() + size);
+  for (const int number : numbers)
+    if (number < -1 || number >= columns)
+      throw std::invalid_argument(std::string("columns: ") + name + ": no such column");
+  return numbers;
+}
 
- private:
-  const py::dict& given_;
-  int columns_;
-};
+std::vector<RigidColumns> rigid(const Numbers& given, const char* name, std::size_t parts, int columns) {
+  const std::vector<int> numbers = numbers_of(given, name, 6 * parts, columns);
+  std::vector<RigidColumns> found(parts);
+  for (std::size_t i = 0; i < numbers.size(); ++i) found[i / 6][i % 6] = numbers[i];
+  return found;
+}
 
 ColumnMap column_map(const Detector& detector, const py::dict& given) {
+  Settings in("columns", given);
   ColumnMap map;
-  map.columns = py::cast<int>(given["columns"]);
+  map.columns = in["columns"];
+  map.drift_step = in["drift_step"];
+  const Numbers of_layers = in["layers"], of_sheets = in["sheets"], of_chamber = in["chamber"],
+                of_wires = in["wires"], of_east = in["east"], of_west = in["west"],
+                of_lorentz = in["lorentz"], of_z_scale = in["z_scale"], of_field = in["field"],
+                of_drift = in["drift"];
+  const Array<double> shift = in["chamber_shift"], turn = in["chamber_turn"], changes = in["drift_change"];
+  in.check();
   if (map.columns < 0 || map.columns > most_columns)
     throw std::invalid_argument("columns: expected 0 to " + std::to_string(most_columns) + " constants");
   const std::size_t layers = detector.layers.size(), wires = detector.wires.size();
-  const ColumnNumbers numbers(given, map.columns);
-  map.layers = numbers.rigid("layers", layers);
-  const std::vector<RigidColumns> sheets = numbers.rigid("sheets", most_sheets * layers);
+  map.layers = rigid(of_layers, "layers", layers, map.columns);
+  const std::vector<RigidColumns> sheets = rigid(of_sheets, "sheets", most_sheets * layers, map.columns);
   map.sheets.resize(layers);
   for (std::size_t i = 0; i < sheets.size(); ++i) map.sheets[i / most_sheets][i % most_sheets] = sheets[i];
-  map.chamber = numbers.rigid("chamber", 1)[0];
-  const auto shift_array = take<double>(given, "chamber_shift");
-  std::ranges::copy(column(shift_array, "chamber_shift", 3), map.chamber_shift.begin());
-  const auto turn_array = take<double>(given, "chamber_turn");
-  std::ranges::copy(column(turn_array, "chamber_turn", 9), map.chamber_turn.begin());
-  map.wires = numbers.rigid("wires", wires);
-  map.east = numbers.rigid("east", wires);
-  map.west = numbers.rigid("west", wires);
-  map.lorentz = numbers.take("lorentz", layers);
-  map.z_scale = numbers.take("z_scale", layers);
-  map.field = numbers.take("field", 1)[0];
+  map.chamber = rigid(of_chamber, "chamber", 1, map.columns)[0];
+  std::ranges::copy(column(shift, "chamber_shift", 3), map.chamber_shift.begin());
+  std::ranges::copy(column(turn, "chamber_turn", 9), map.chamber_turn.begin());
+  map.wires = rigid(of_wires, "wires", wires, map.columns);
+  map.east = rigid(of_east, "east", wires, map.columns);
+  map.west = rigid(of_west, "west", wires, map.columns);
+  map.lorentz = numbers_of(of_lorentz, "lorentz", layers, map.columns);
+  map.z_scale = numbers_of(of_z_scale, "z_scale", layers, map.columns);
+  map.field = numbers_of(of_field, "field", 1, map.columns)[0];
   // Changes of drift distances: (wire layers, constants, distances).
-  const auto changes = take<double>(given, "drift_change");
   if (changes.ndim() != 3 || changes.shape(0) != static_cast<py::ssize_t>(wires) ||
       (changes.shape(1) > 0 && changes.shape(2) == 0))
     throw std::invalid_argument("columns: drift_change: expected (wire layers, constants, distances)");
   const auto constants = static_cast<std::size_t>(changes.shape(1)),
              steps = static_cast<std::size_t>(changes.shape(2));
-  const std::vector<int> drift = numbers.take("drift", wires * constants);
+  const std::vector<int> drift = numbers_of(of_drift, "drift", wires * constants, map.columns);
   map.drift.resize(wires);
   for (std::size_t i = 0; i < drift.size(); ++i) {
     if (drift[i] < 0) continue;
     const double* from = changes.data() + i * steps;
     map.drift[i / constants].push_back({drift[i], std::vector<double>(from, from + steps)});
   }
-  map.drift_step = py::cast<double>(given["drift_step"]);
   if (!(map.drift_step > 0 && map.drift_step < HUGE_VAL))
     throw std::invalid_argument("columns: drift_step: expected a length above 0");
   return map;
-}
-
-std::vector<UsedHit> used_hits(const py::dict& columns, py::ssize_t n) {
-  const auto used_array = take<std::uint8_t>(columns, "used");
-  const auto value_array = take<double>(columns, "used_value"),
-             variance_array = take<double>(columns, "used_variance");
-  const auto used = column(used_array, "used", n);
-  const auto value = column(value_array, "used_value", n),
-             variance = column(variance_array, "used_variance", n);
-  std::vector<UsedHit> found;
-  for (std::size_t i = 0; i < value.size(); ++i) {
-    if (used[i] != 0 && !(std::isfinite(value[i]) && variance[i] > 0 && variance[i] < HUGE_VAL))
-      throw std::invalid_argument("used_value, used_variance: expected finite numbers, variances above 0");
-    found.push_back({used[i] != 0, value[i], variance[i]});
-  }
-  return found;
 }
 
 py::dict run_sums(const Detector& detector, const py::dict& map_values,
@@ -175,21 +153,9 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
     }
   }
   throw_if_interrupted();
-  RowColumns<SummedTrack> of_track(n);
-  of_track.add("used", &SummedTrack::used)
-      .add("hits", &SummedTrack::hits)
-      .add("chi2", &SummedTrack::chi2)
-      .add("helix",
-           [](const SummedTrack& row) {
-             auto helix = row.helix;
-             helix[1] = wrap_angle(helix[1] - 0.5 * pi);
-             return helix;
-           },
-           {5})
-      .add("cov", &SummedTrack::covariance, {5, 5})
-      .append(rows);
-  py::dict out;
-  of_track.give(out);
+  Columns<SummedTrack> of_track;
+  of_track.append(rows);
+  py::dict out = to_dict(std::move(of_track));
   const auto width = static_cast<py::ssize_t>(columns);
   out["normal"] = to_numpy(std::move(normal), {width, width});
   out["right"] = to_numpy(std::move(right));

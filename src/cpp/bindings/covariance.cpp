@@ -5,7 +5,6 @@
 
 #include "bindings/hits.hpp"
 #include "bindings/interrupt.hpp"
-#include "bindings/rows.hpp"
 #include "bindings/settings.hpp"
 #include "common/angles.hpp"
 #include "kernels/kernels.hpp"
@@ -29,25 +28,6 @@ HitModel hit_model(const py::dict& values) {
                  .prior_sigma = in["prior_sigma"]};
   in.check();
   return model;
-}
-
-// The expected hits of all tracks as a fit takes them.
-py::dict columns_of(const std::vector<ExpectedHit>& hits, const Detector& detector) {
-  const auto layer = [&](const ExpectedHit& hit) {
-    return hit.view == View::wire ? detector.wires[static_cast<std::size_t>(hit.layer)].number : hit.layer;
-  };
-  RowColumns<ExpectedHit> columns(hits.size());
-  columns.add("kind", [](const ExpectedHit& hit) { return static_cast<std::uint8_t>(hit.view); })
-      .add("layer", layer)
-      .add("channel", &ExpectedHit::channel)
-      .add("value", &ExpectedHit::value)
-      .add("variance", &ExpectedHit::variance)
-      .add("k", &ExpectedHit::k)
-      .add("x", &ExpectedHit::x)
-      .append(hits);
-  py::dict out;
-  columns.give(out);
-  return out;
 }
 
 py::dict run_covariances(const Detector& detector, const Array<double>& phi, const Array<double>& kappa,
@@ -94,7 +74,7 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
   std::vector<CovarianceRow> rows(static_cast<std::size_t>(n) * (1 + variants.size()));
   const std::size_t points = static_cast<std::size_t>(n) / samples;
   std::vector<double> sums(budget ? points * names.size() * budget_entries : 0, 0.0);
-  std::vector<ExpectedHit> expected;
+  Columns<ExpectedHit> expected;
   static_assert(sizeof(BudgetTerm) == budget_entries * sizeof(double));
   {
     py::gil_scoped_release release;
@@ -104,15 +84,10 @@ py::dict run_covariances(const Detector& detector, const Array<double>& phi, con
                       hits ? &expected : nullptr});
   }
   throw_if_interrupted();
-  RowColumns<CovarianceRow> of_track(rows.size());
-  of_track.add("covariance", &CovarianceRow::covariance, {static_cast<py::ssize_t>(covariance_entries)})
-      .add("n_clusters", &CovarianceRow::clusters)
-      .add("n_wires", &CovarianceRow::wires)
-      .add("status", &CovarianceRow::status)
-      .append(rows);
-  py::dict out;
-  of_track.give(out);
-  if (hits) out["hits"] = columns_of(expected, detector);
+  Columns<CovarianceRow> of_track;
+  of_track.append(rows);
+  py::dict out = to_dict(std::move(of_track));
+  if (hits) out["hits"] = to_dict(std::move(expected));
   if (budget)
     out["budget"] =
         to_numpy(std::move(sums), {static_cast<py::ssize_t>(points), static_cast<py::ssize_t>(names.size()),

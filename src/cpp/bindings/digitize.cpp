@@ -90,14 +90,7 @@ py::dict profiles(const Detector& detector, const py::dict& table, const py::dic
 
 py::dict wires(const Detector& detector, const py::dict& table, bool reveal_sides, std::uint64_t seed) {
   Inputs in(table, "wire_truths");
-  WireTruthColumns truths;
-  truths.event = in.get<std::int64_t>("event");
-  truths.particle = in.get<std::int32_t>("particle");
-  truths.layer = in.get<std::int32_t>("layer");
-  truths.wire = in.get<std::int32_t>("wire");
-  truths.doca = in.get<double>("doca");
-  truths.side = in.get<std::int8_t>("side");
-  truths.delay = in.get<double>("delay");
+  const auto truths = in.read<WireTruthColumns>();
   Columns<WireHitRow> hits;
   {
     py::gil_scoped_release release;

@@ -72,16 +72,7 @@ py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_off
     found = find_tracks(detector, {offsets, hits, std::move(pairs), interrupted}, settings);
   }
   throw_if_interrupted();
-  py::dict out;
-  out["event"] = to_numpy(std::move(found.event));
-  out["offsets"] = to_numpy(std::move(found.offsets));
-  out["hits"] = to_numpy(std::move(found.hits));
-  out["score"] = to_numpy(std::move(found.score));
-  out["chi2"] = to_numpy(std::move(found.chi2));
-  out["holes"] = to_numpy(std::move(found.holes));
-  out["seeds"] = to_numpy(std::move(found.seeds));
-  out["limits"] = to_numpy(std::move(found.limits));
-  return out;
+  return to_dict(std::move(found));
 }
 
 }  // namespace

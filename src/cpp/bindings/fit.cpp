@@ -7,7 +7,6 @@
 
 #include "bindings/hits.hpp"
 #include "bindings/interrupt.hpp"
-#include "bindings/rows.hpp"
 #include "bindings/settings.hpp"
 #include "detector/start_radius.hpp"
 #include "kernels/kernels.hpp"
@@ -59,37 +58,18 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
   const StartRadii begins(detector, n, start_radii(start_radius, static_cast<py::ssize_t>(n)));
   residuals = residuals || states;
   const std::size_t slabs = detector.slabs.size();
-  const int free = is_straight(detector.bz) ? 4 : 5;  // parameters that the hits determine
-  const int spot = settings.beam[0] > 0 ? 2 : 0;
-  RowColumns<FitRow> of_track(n);
-  of_track.add("helix", &FitRow::helix, {5})
-      .add("cov", &FitRow::covariance, {5, 5})
-      .add("chi2", &FitRow::chi2)
-      .add("ndf", [free, spot](const FitRow& row) { return row.clusters + row.wires + spot - free; })
-      .add("n_clusters", &FitRow::clusters)
-      .add("n_wires", &FitRow::wires)
-      .add("n_outliers", &FitRow::outliers)
-      .add("iterations", &FitRow::iterations)
-      .add("status", &FitRow::status)
-      .add("limits", &FitRow::limits, {5})
-      .add("radiated", &FitRow::radiated)
-      .add("radius_radiated", &FitRow::radius_radiated)
-      .add("matter_p", &FitRow::matter_p);
-  RowColumns<HitRow> of_hit(residuals ? static_cast<std::size_t>(n_hits) : 0);
-  of_hit.add("residual", &HitRow::residual)
-      .add("err", &HitRow::error)
-      .add("side", &HitRow::side)
-      .add("used", &HitRow::used);
-  RowColumns<LastIteration> last(states ? n : 0);
-  last.add("reference", &LastIteration::reference, {5}).add("prior", &LastIteration::prior, {25});
-  RowColumns<Measured> measured(states ? static_cast<std::size_t>(n_hits) : 0);
-  measured.add("used_value", &Measured::value).add("used_variance", &Measured::variance);
-  RowColumns<KinkRow> kinks(states ? n * slabs : 0);
-  kinks.add("kinks", [](const KinkRow& row) { return row; }, {2});
-  RowColumns<DensityRow> density(densities ? n : 0);
-  density.add("density_weight", &DensityRow::weight, {density_components})
-      .add("density_mean", &DensityRow::mean, {density_components})
-      .add("density_sigma", &DensityRow::sigma, {density_components});
+  Columns<FitRow> of_track;
+  Columns<HitRow> of_hit;
+  Columns<LastIteration> last;
+  Columns<Measured> measured;
+  Columns<KinkRow> kinks;
+  Columns<DensityRow> density;
+  of_track.reserve(n);
+  of_hit.reserve(residuals ? static_cast<std::size_t>(n_hits) : 0);
+  last.reserve(states ? n : 0);
+  measured.reserve(states ? static_cast<std::size_t>(n_hits) : 0);
+  kinks.reserve(states ? n * slabs : 0);
+  density.reserve(densities ? n : 0);
   const auto fit = kernels().fit;
   {
     py::gil_scoped_release release;
@@ -132,14 +112,13 @@ py::dict run_fit(const Detector& detector, const Array<std::int64_t>& hit_offset
     }
   }
   throw_if_interrupted();
-  py::dict out;
-  of_track.give(out);
-  if (residuals) of_hit.give(out);
-  if (densities) density.give(out);
+  py::dict out = to_dict(std::move(of_track));
+  if (residuals) add_columns(std::move(of_hit), out);
+  if (densities) add_columns(std::move(density), out);
   if (!states) return out;
-  last.give(out);
-  measured.give(out);
-  kinks.give(out);
+  add_columns(std::move(last), out);
+  add_columns(std::move(measured), out);
+  add_columns(std::move(kinks), out);
   return out;
 }
 

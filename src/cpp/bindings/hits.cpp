@@ -36,6 +36,14 @@ void HitColumns::check(std::span<const std::int64_t> offsets) const {
   problems.raise("hits");
 }
 
+std::vector<UsedHit> used_hits(const py::dict& columns, py::ssize_t n) {
+  auto hits = Inputs(columns, "hits", n).read_rows<UsedHit>();
+  for (const UsedHit& hit : hits)
+    if (hit.used != 0 && !(std::isfinite(hit.value) && hit.variance > 0 && hit.variance < HUGE_VAL))
+      throw std::invalid_argument("used_value, used_variance: expected finite numbers, variances above 0");
+  return hits;
+}
+
 std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array) {
   const auto offsets = column(array, "hit_offsets");
   if (offsets.empty() || offsets[0] != 0)
@@ -90,7 +98,7 @@ py::dict collect(const Detector& detector, const py::dict& candidates, const py:
 }
 
 py::tuple problems(const Detector& detector, const py::dict& hits) {
-  const HitColumns columns(detector, hits, static_cast<py::ssize_t>(py::len(hits["kind"])), false);
+  const HitColumns columns(detector, hits, -1, false);
   const HitProblems found = columns.problems();
   py::list listed;
   for (const HitProblem& one : found.listed)

@@ -6,11 +6,13 @@
 #include <vector>
 
 #include "bindings/fields.hpp"
+#include "kalman/used_hit.hpp"
 #include "reconstruction/fit/hit_rules.hpp"
 
 namespace cgemit::bindings {
 
-// Columns of n hits (`HitView`). Optional: side (0, unknown), k and x (0, see Hit), row (for messages).
+// Columns of n hits (`HitView`), of any number for -1. Optional: side (0, unknown), k and x (0, see Hit), row
+// (for messages).
 class HitColumns {
  public:
   // Throws, with `check` listing every problem with the hits too.
@@ -38,6 +40,9 @@ class HitColumns {
   HitView hits_;
   std::vector<std::int8_t> no_sides_;
 };
+
+// The measurements that a fit used at n hits; throws unless they are numbers.
+std::vector<UsedHit> used_hits(const pybind11::dict& columns, pybind11::ssize_t n);
 
 // Offsets of the hits of n tracks: n + 1 numbers that begin with 0 and do not decrease. Throws otherwise.
 std::span<const std::int64_t> hit_offsets_of(const Array<std::int64_t>& array);

@@ -6,7 +6,7 @@
 
 #include <optional>
 
-#include "bindings/arrays.hpp"
+#include "bindings/fields.hpp"
 #include "bindings/interrupt.hpp"
 #include "bindings/matter.hpp"
 #include "kernels/kernels.hpp"
@@ -24,28 +24,8 @@ py::dict run_simulate(const Detector& detector, const py::dict& particles, Fluct
   if (half_turns < 1 || half_turns > most_half_turns)
     throw std::invalid_argument("half_turns: got " + std::to_string(half_turns) + ", expected 1 to " +
                                 std::to_string(most_half_turns));
-  const auto event = take<std::int64_t>(particles, "event");
-  const auto particle = take<std::int32_t>(particles, "particle"), pdg = take<std::int32_t>(particles, "pdg");
-  const auto charge = take<std::int8_t>(particles, "charge");
-  const auto mass = take<double>(particles, "mass"), x = take<double>(particles, "x"),
-             y = take<double>(particles, "y"), z = take<double>(particles, "z"),
-             px = take<double>(particles, "px"), py_ = take<double>(particles, "py"),
-             pz = take<double>(particles, "pz");
-  const bool has_times = particles.contains("decay_time");
-  const auto decay_time = has_times ? take<double>(particles, "decay_time") : Array<double>(0);
-  const py::ssize_t n = event.size();
-  const ParticleColumns in{.event = column(event, "event", n),
-                           .particle = column(particle, "particle", n),
-                           .pdg = column(pdg, "pdg", n),
-                           .charge = column(charge, "charge", n),
-                           .mass = column(mass, "mass", n),
-                           .x = column(x, "x", n),
-                           .y = column(y, "y", n),
-                           .z = column(z, "z", n),
-                           .px = column(px, "px", n),
-                           .py = column(py_, "py", n),
-                           .pz = column(pz, "pz", n),
-                           .decay_time = column(decay_time, "decay_time", has_times ? n : 0)};
+  Inputs of_particles(particles, "particles");
+  const auto in = of_particles.read<ParticleColumns>();
   const SimulateSettings settings{.fluctuations = fluctuations,
                                   .deltas = deltas,
                                   .steps = steps,

@@ -4,8 +4,10 @@
 #include <pybind11/pybind11.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
+#include <tuple>
 
 #include "bindings/arrays.hpp"
 #include "bindings/hits.hpp"
@@ -23,97 +25,77 @@ namespace {
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
 
-// Columns of the states; missing values are NaN.
-class Output {
- public:
-  void add(const TrackState& found, std::int64_t track, std::int64_t target, std::int64_t hit) {
-    const bool ok = found.status == StateStatus::ok;
-    const LocalState& s = found.state;
-    const Perigee& h = s.helix;
-    status_.push_back(static_cast<std::int8_t>(found.status));
-    track_.push_back(track);
-    target_.push_back(target);
-    hit_.push_back(hit);
-    for (const double value : {s.x, s.y, s.z}) pivot_.push_back(ok ? value : nan);
-    for (const double value : {h.d, wrap_angle(h.psi - 0.5 * pi), h.kappa, h.z0, h.tanl})
-      helix_.push_back(ok ? value : nan);
-    for (Eigen::Index i = 0; i < 5; ++i) {
-      for (Eigen::Index j = 0; j < 5; ++j) covariance_.push_back(ok ? 0.5 * (s.c(i, j) + s.c(j, i)) : nan);
-    }
-    const bool measured = ok && found.variance > 0;
-    residual_.push_back(measured ? found.residual : nan);
-    error_.push_back(measured ? std::sqrt(found.variance) : nan);
-  }
+template <std::size_t N>
+constexpr std::array<double, N> filled(double value) {
+  std::array<double, N> found{};
+  found.fill(value);
+  return found;
+}
 
-  py::dict columns() {
-    const auto rows = static_cast<py::ssize_t>(status_.size());
-    py::dict result;
-    result["status"] = to_numpy(std::move(status_));
-    result["track"] = to_numpy(std::move(track_));
-    result["target"] = to_numpy(std::move(target_));
-    result["hit"] = to_numpy(std::move(hit_));
-    result["pivot"] = to_numpy(std::move(pivot_), {rows, 3});
-    result["helix"] = to_numpy(std::move(helix_), {rows, 5});
-    result["cov"] = to_numpy(std::move(covariance_), {rows, 5, 5});
-    result["residual"] = to_numpy(std::move(residual_));
-    result["err"] = to_numpy(std::move(error_));
-    return result;
-  }
+// Missing values are NaN.
+struct StateRow {
+  StateStatus status;
+  std::int64_t track, target, hit;
+  std::array<double, 3> pivot = filled<3>(nan);
+  std::array<double, 5> helix = filled<5>(nan);
+  std::array<std::array<double, 5>, 5> covariance = {helix, helix, helix, helix, helix};
+  double residual = nan, error = nan;
 
- private:
-  std::vector<double> pivot_, helix_, covariance_, residual_, error_;
-  std::vector<std::int64_t> track_, target_, hit_;
-  std::vector<std::int8_t> status_;
+  static constexpr auto columns() {
+    return std::tuple(Column("status", &StateRow::status), Column("track", &StateRow::track),
+                      Column("target", &StateRow::target), Column("hit", &StateRow::hit),
+                      Column("pivot", &StateRow::pivot), Column("helix", &StateRow::helix),
+                      Column("cov", &StateRow::covariance), Column("residual", &StateRow::residual),
+                      Column("err", &StateRow::error));
+  }
 };
 
-std::vector<Target> make_targets(const py::dict& columns) {
-  const auto surface_array = take<std::int8_t>(columns, "surface");
-  const auto radius_array = take<double>(columns, "radius"), share_array = take<double>(columns, "share");
-  const auto surface = column(surface_array, "surface");
-  const auto n = static_cast<py::ssize_t>(surface.size());
-  const auto radius = column(radius_array, "radius", n), share = column(share_array, "share", n);
-  std::vector<Target> targets;
-  for (std::size_t i = 0; i < surface.size(); ++i) {
-    if (surface[i] < 0 || surface[i] > static_cast<std::int8_t>(StateSurface::hit))
+StateRow row_of(const TrackState& found, std::size_t track, std::size_t target, std::int64_t hit) {
+  StateRow row{.status = found.status,
+               .track = static_cast<std::int64_t>(track),
+               .target = static_cast<std::int64_t>(target),
+               .hit = hit};
+  if (found.status != StateStatus::ok) return row;
+  const LocalState& s = found.state;
+  const Perigee& h = s.helix;
+  row.pivot = {s.x, s.y, s.z};
+  row.helix = {h.d, wrap_angle(h.psi - 0.5 * pi), h.kappa, h.z0, h.tanl};
+  for (Eigen::Index i = 0; i < 5; ++i) {
+    for (Eigen::Index j = 0; j < 5; ++j)
+      row.covariance[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] =
+          0.5 * (s.c(i, j) + s.c(j, i));
+  }
+  if (!(found.variance > 0)) return row;
+  row.residual = found.residual;
+  row.error = std::sqrt(found.variance);
+  return row;
+}
+
+std::vector<Target> targets_of(const py::dict& columns) {
+  auto targets = Inputs(columns, "targets").read_rows<Target>();
+  for (const Target& target : targets) {
+    if (target.surface < StateSurface::origin || target.surface > StateSurface::hit)
       throw std::invalid_argument("surface: no such surface");
-    const bool at_radius = static_cast<StateSurface>(surface[i]) == StateSurface::cylinder;
-    if (!(radius[i] >= 0 && radius[i] < HUGE_VAL) || (at_radius && radius[i] == 0))
+    const bool at_radius = target.surface == StateSurface::cylinder;
+    if (!(target.radius >= 0 && target.radius < HUGE_VAL) || (at_radius && target.radius == 0))
       throw std::invalid_argument("radius: expected a finite length, above 0 for a cylinder");
-    if (!(share[i] >= 0 && share[i] <= 1)) throw std::invalid_argument("share: expected 0 to 1");
-    targets.push_back({static_cast<StateSurface>(surface[i]), radius[i], share[i]});
+    if (!(target.share >= 0 && target.share <= 1)) throw std::invalid_argument("share: expected 0 to 1");
   }
   return targets;
 }
 
 // Rows of one track, in the order of the targets. Their number does not depend on the status of the fit.
 void add_track(const std::vector<TrackState>& found, const std::vector<Target>& targets, std::size_t track,
-               std::size_t first_hit, std::size_t hits, Output& out) {
+               std::size_t first_hit, std::size_t hits, Columns<StateRow>& out) {
   std::size_t row = 0;
   for (std::size_t k = 0; k < targets.size(); ++k) {
     const bool at_hits = targets[k].surface == StateSurface::hit;
     for (std::size_t i = 0; i < (at_hits ? hits : 1); ++i) {
       const TrackState lost{StateStatus::not_fitted, -1, {}, 0, 0};
-      out.add(found.empty() ? lost : found[row++], static_cast<std::int64_t>(track),
-              static_cast<std::int64_t>(k), at_hits ? static_cast<std::int64_t>(first_hit + i) : -1);
+      out.push_back(row_of(found.empty() ? lost : found[row++], track, k,
+                           at_hits ? static_cast<std::int64_t>(first_hit + i) : -1));
     }
   }
-}
-
-// The measurement used by the fit at every hit.
-std::vector<Used> make_used(const py::dict& columns, py::ssize_t n) {
-  const auto used_array = take<std::uint8_t>(columns, "used");
-  const auto value_array = take<double>(columns, "used_value"),
-             variance_array = take<double>(columns, "used_variance");
-  const auto counts = column(used_array, "used", n);
-  const auto value = column(value_array, "used_value", n),
-             variance = column(variance_array, "used_variance", n);
-  std::vector<Used> used;
-  for (std::size_t i = 0; i < value.size(); ++i) {
-    if (counts[i] != 0 && !(std::isfinite(value[i]) && variance[i] > 0 && variance[i] < HUGE_VAL))
-      throw std::invalid_argument("used_value, used_variance: expected finite numbers, variances above 0");
-    used.push_back({counts[i] != 0, value[i], variance[i]});
-  }
-  return used;
 }
 
 bool all_finite(std::span<const double> values) {
@@ -164,11 +146,11 @@ py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_off
   const auto fitted = column(fitted_array, "fitted", n);
   const StartRadii begins(detector, mass.size(), start_radii(start_radius, n));
   check_tracks(fitted, reference, kinks, prior, mass, angles);
-  const std::vector<Used> used = make_used(hit_columns, n_hits);
+  const std::vector<UsedHit> used = used_hits(hit_columns, n_hits);
   std::vector<Hit> hits;
   HitColumns(detector, hit_columns, n_hits).take(0, static_cast<std::size_t>(n_hits), hits);
-  const std::vector<Target> targets = make_targets(target_columns);
-  Output out;
+  const std::vector<Target> targets = targets_of(target_columns);
+  Columns<StateRow> out;
   {
     py::gil_scoped_release release;
     StateSpace space;
@@ -191,7 +173,7 @@ py::dict run_states(const Detector& detector, const Array<std::int64_t>& hit_off
     }
   }
   throw_if_interrupted();
-  return out.columns();
+  return to_dict(std::move(out));
 }
 
 LocalState load(const double* pivot, const double* helix, const double* covariance) {
@@ -213,7 +195,7 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
   const std::vector<double> matter_p = momenta_in_matter(matter_p_array, n);
   if (!(radius > 0 && radius < HUGE_VAL))
     throw std::invalid_argument("radius: expected a finite length above 0");
-  Output out;
+  Columns<StateRow> out;
   {
     py::gil_scoped_release release;
     for (std::size_t i = 0; i < mass.size() && !interrupted(); ++i) {
@@ -222,11 +204,11 @@ py::dict run_extrapolate(const Detector& detector, const Array<double>& pivot_ar
       found.state.matter_p = matter_p[i];
       if (found.state.c.allFinite() && std::isfinite(mass[i]) && found.state.helix.kappa != 0)
         found.status = extrapolate(detector, found.state, mass[i], charge[i], radius, from[i], to);
-      out.add(found, static_cast<std::int64_t>(i), 0, -1);
+      out.push_back(row_of(found, i, 0, -1));
     }
   }
   throw_if_interrupted();
-  return out.columns();
+  return to_dict(std::move(out));
 }
 
 py::array_t<double> matter_momenta(const Array<double>& kappa_array, const Array<double>& sigma_array,
@@ -254,16 +236,16 @@ py::tuple run_change_pivot(const Array<double>& helix_array, const Array<double>
              step = matrix(step_array, "step", n, 3);
   const auto bz = column(bz_array, "bz", n);
   const double origin[3] = {0, 0, 0};
-  Output out;
+  Columns<StateRow> out;
   for (py::ssize_t i = 0; i < n; ++i) {
     TrackState found{StateStatus::ok, -1, load(origin, helix.data() + 5 * i, covariance.data() + 25 * i), 0,
                      0};
     const double* to = step.data() + 3 * i;
     const double per_kappa = curvature(bz[static_cast<std::size_t>(i)], 1.0);
     if (!change_pivot(found.state, to[0], to[1], to[2], per_kappa)) found.status = StateStatus::not_fitted;
-    out.add(found, i, 0, -1);
+    out.push_back(row_of(found, static_cast<std::size_t>(i), 0, -1));
   }
-  const py::dict columns = out.columns();
+  const py::dict columns = to_dict(std::move(out));
   return py::make_tuple(columns["helix"], columns["cov"]);
 }
 

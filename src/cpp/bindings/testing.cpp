@@ -7,10 +7,10 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <tuple>
 
 #include "bindings/hits.hpp"
 #include "bindings/matter.hpp"
-#include "bindings/rows.hpp"
 #include "common/angles.hpp"
 #include "common/rng.hpp"
 #include "kalman/builder.hpp"
@@ -146,45 +146,59 @@ GapCrossing straight_crossing(const Detector& detector, int layer, double tanl, 
   return {entry, exit, detector.bz, arc * std::sqrt(1 + tanl * tanl)};
 }
 
+struct CrossingRow : GapResult {
+  static constexpr auto columns() {
+    return std::tuple(Column("energy", &CrossingRow::energy), Column("electrons", &CrossingRow::electrons),
+                      Column("deltas", &CrossingRow::deltas));
+  }
+};
+struct DepositRow : Deposit {
+  std::int64_t crossing;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("deposit_crossing", &DepositRow::crossing), Column("deposit_x", &DepositRow::x),
+                      Column("deposit_y", &DepositRow::y), Column("deposit_z", &DepositRow::z),
+                      Column("deposit_dx", &DepositRow::dx), Column("deposit_dy", &DepositRow::dy),
+                      Column("deposit_dz", &DepositRow::dz), Column("deposit_energy", &DepositRow::energy),
+                      Column("deposit_electrons", &DepositRow::electrons),
+                      Column("deposit_delta", &DepositRow::delta),
+                      Column("deposit_origin", &DepositRow::origin));
+  }
+};
+
 py::dict ionize_gap(const Detector& detector, int layer, double p, double mass, double charge, py::ssize_t n,
                     std::uint64_t seed, bool deltas, bool keep_clusters, double tanl, double slope) {
   const GapMatter& matter = gap_of(detector, layer);
   const GapCrossing crossing = straight_crossing(detector, layer, tanl, slope);
   const Kinematics k = particle(p, mass, charge);
-  std::vector<GapResult> results;
-  std::vector<Deposit> deposits;
-  std::vector<std::int64_t> owners;
+  Columns<CrossingRow> crossings;
+  Columns<DepositRow> made;
   {
     py::gil_scoped_release release;
+    std::vector<Deposit> deposits;
     for (py::ssize_t i = 0; i < n; ++i) {
       const Stream stream(seed, static_cast<std::uint64_t>(i), 0);
-      results.push_back(ionize(matter, crossing, k, stream, 0, deltas, keep_clusters, deposits));
-      owners.resize(deposits.size(), i);
+      deposits.clear();
+      crossings.push_back({ionize(matter, crossing, k, stream, 0, deltas, keep_clusters, deposits)});
+      for (const Deposit& one : deposits) made.push_back({one, i});
     }
   }
-  RowColumns<GapResult> crossings(results.size());
-  crossings.add("energy", &GapResult::energy)
-      .add("electrons", &GapResult::electrons)
-      .add("deltas", &GapResult::deltas)
-      .append(results);
-  RowColumns<Deposit> made(deposits.size());
-  made.add("deposit_x", &Deposit::x)
-      .add("deposit_y", &Deposit::y)
-      .add("deposit_z", &Deposit::z)
-      .add("deposit_dx", &Deposit::dx)
-      .add("deposit_dy", &Deposit::dy)
-      .add("deposit_dz", &Deposit::dz)
-      .add("deposit_energy", &Deposit::energy)
-      .add("deposit_electrons", &Deposit::electrons)
-      .add("deposit_delta", &Deposit::delta)
-      .add("deposit_origin", &Deposit::origin)
-      .append(deposits);
-  py::dict out;
-  crossings.give(out);
-  made.give(out);
-  out["deposit_crossing"] = to_numpy(std::move(owners));
+  py::dict out = to_dict(std::move(crossings));
+  add_columns(std::move(made), out);
   return out;
 }
+
+// The end point of an electron.
+struct EndRow {
+  double u, w, z, energy, way;  // mm, keV, mm
+  double deposited;             // keV
+
+  static constexpr auto columns() {
+    return std::tuple(Column("u", &EndRow::u), Column("w", &EndRow::w), Column("z", &EndRow::z),
+                      Column("energy", &EndRow::energy), Column("way", &EndRow::way),
+                      Column("deposited", &EndRow::deposited));
+  }
+};
 
 py::dict follow_electrons(const Detector& detector, int layer, double w, double energy, double outward,
                           py::ssize_t n, std::uint64_t seed) {
@@ -196,23 +210,18 @@ py::dict follow_electrons(const Detector& detector, int layer, double w, double 
         {&matter, detector.bz, Stream(seed, static_cast<std::uint64_t>(i), 0), 0, start});
   }
   follow(batch);
-  const auto& rows = batch.electrons;
-  const auto deposited = [&batch](const ElectronTask& f) {
-    double sum = 0;
-    for (std::size_t k = f.first; k != 0; k = batch.pieces[k].next) sum += batch.pieces[k].energy;
-    return sum;
-  };
-  RowColumns<ElectronTask> made(rows.size());
-  made.add("u", [](const ElectronTask& f) { return f.electron.u; })
-      .add("w", [](const ElectronTask& f) { return f.electron.w; })
-      .add("z", [](const ElectronTask& f) { return f.electron.z; })
-      .add("energy", [](const ElectronTask& f) { return f.electron.energy; })
-      .add("way", &ElectronTask::way)
-      .add("deposited", deposited)
-      .append(rows);
-  py::dict out;
-  made.give(out);
-  return out;
+  Columns<EndRow> ends;
+  for (const ElectronTask& one : batch.electrons) {
+    double deposited = 0;
+    for (std::size_t k = one.first; k != 0; k = batch.pieces[k].next) deposited += batch.pieces[k].energy;
+    ends.push_back({.u = one.electron.u,
+                    .w = one.electron.w,
+                    .z = one.electron.z,
+                    .energy = one.electron.energy,
+                    .way = one.way,
+                    .deposited = deposited});
+  }
+  return to_dict(std::move(ends));
 }
 
 py::array_t<double> amplitudes(const Array<double>& terms, double dt, const Array<double>& steps) {
@@ -240,6 +249,17 @@ py::tuple holes(double pitch, const Array<double>& u, const Array<double>& v) {
   return py::make_tuple(to_numpy(std::move(at_u)), to_numpy(std::move(at_v)));
 }
 
+struct ShareRow {
+  std::int32_t sheet, view, strip;
+  double part, largest;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("sheet", &ShareRow::sheet), Column("view", &ShareRow::view),
+                      Column("strip", &ShareRow::strip), Column("part", &ShareRow::part),
+                      Column("largest", &ShareRow::largest));
+  }
+};
+
 // Charges on strips after a cloud of charge 1 for each view has crossed the induction gap, and the largest
 // ones.
 py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z, double sigma_x,
@@ -256,24 +276,14 @@ py::dict cloud(const Detector& detector, std::size_t layer, double phi, double z
   induce_on_layer(detector.layers.at(layer), phi, z, {sigma_x, sigma_z}, {whole, whole}, signals.transit(7.3),
                   signals);
   signals.close(0);
-  std::vector<std::int32_t> sheet, view, strip;
-  std::vector<double> part, largest;
+  Columns<ShareRow> shares;
   signals.each([&](int s, int w, int i, const auto& source, CurrentSteps steps) {
-    sheet.push_back(s);
-    view.push_back(w);
-    strip.push_back(i);
     double charge = 0;  // integral of the current
     for (std::size_t t = 0; t < steps.size(); ++t) charge -= steps[t] * static_cast<double>(t) * time_step;
-    part.push_back(charge / whole);
-    largest.push_back(source.total / whole);
+    shares.push_back(
+        {.sheet = s, .view = w, .strip = i, .part = charge / whole, .largest = source.total / whole});
   });
-  py::dict out;
-  out["sheet"] = to_numpy(std::move(sheet));
-  out["view"] = to_numpy(std::move(view));
-  out["strip"] = to_numpy(std::move(strip));
-  out["part"] = to_numpy(std::move(part));
-  out["largest"] = to_numpy(std::move(largest));
-  return out;
+  return to_dict(std::move(shares));
 }
 
 py::tuple line_of(const Array<double>& position, const Array<double>& charge, const Array<double>& height,
@@ -309,6 +319,15 @@ py::tuple count_ranges(const Array<std::int32_t>& firsts, const Array<std::int32
   return py::make_tuple(to_numpy(std::move(found)), most, to_numpy(std::move(largest)));
 }
 
+struct Settled {
+  std::vector<std::int64_t> track, hits, hit;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("track", &Settled::track), Column("hits", &Settled::hits),
+                      Column("hit", &Settled::hit));
+  }
+};
+
 // For tests: tracks with nothing but hits compete.
 py::dict settle(const py::dict& track_columns, const py::dict& entry_columns, const py::dict& hit_columns,
                 double min_score) {
@@ -334,46 +353,52 @@ py::dict settle(const py::dict& track_columns, const py::dict& entry_columns, co
     }
   }
   Competition().settle(tracks, kinds, min_score);
-  std::vector<std::int64_t> kept, left, hits;
+  Settled left;
   for (const FoundTrack& track : tracks) {
-    kept.push_back(track.holes);
-    left.push_back(static_cast<std::int64_t>(track.hits.size()));
-    hits.insert(hits.end(), track.hits.begin(), track.hits.end());
+    left.track.push_back(track.holes);
+    left.hits.push_back(static_cast<std::int64_t>(track.hits.size()));
+    left.hit.insert(left.hit.end(), track.hits.begin(), track.hits.end());
   }
-  py::dict out;
-  out["track"] = to_numpy(std::move(kept));
-  out["hits"] = to_numpy(std::move(left));
-  out["hit"] = to_numpy(std::move(hits));
-  return out;
+  return to_dict(std::move(left));
 }
 
-// Rows of vectors of one size.
-py::array_t<double> rows_of(const std::vector<Vector5>& vectors) {
-  std::vector<double> values;
-  for (const Vector5& one : vectors) values.insert(values.end(), one.begin(), one.end());
-  return to_numpy(std::move(values), {static_cast<py::ssize_t>(vectors.size()), 5});
+using RowOfFive = std::array<double, 5>;
+
+template <class G>
+RowOfFive five(const G& g) {
+  RowOfFive found{};
+  const Vector5 vector = vector5(g);
+  std::ranges::copy(vector, found.begin());
+  return found;
 }
 
-// Noise vectors of a reference trajectory, and the kinks in units of them.
-struct NoiseVectors {
-  std::vector<Vector5> vectors;
-  std::vector<double> units;
+// A reference trajectory: the measurements that it meets with their gradients, its noise vectors, and the
+// kinks in units of them.
+struct Followed {
+  std::vector<RowOfFive> rows, noise;
+  std::vector<double> predicted, extent, noise_units;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("rows", &Followed::rows), Column("noise", &Followed::noise),
+                      Column("noise_units", &Followed::noise_units),
+                      Column("predicted", &Followed::predicted), Column("extent", &Followed::extent));
+  }
 
   template <class Noise>
-  void add(const Noise& noise, const Kink<double>& kink, bool shifts) {
-    if (noise.dip[4] == 0) return;
+  void add(const Noise& of_slab, const Kink<double>& kink, bool shifts) {
+    if (of_slab.dip[4] == 0) return;
     const auto [turn, dip] = in_noise_units(kink);
-    put(noise.turn, turn);
-    put(noise.dip, dip);
-    put(noise.straggling, 0);
+    put(of_slab.turn, turn);
+    put(of_slab.dip, dip);
+    put(of_slab.straggling, 0);
     if (!shifts) return;
-    put(noise.shift_across, 0);
-    put(noise.shift_along, 0);
+    put(of_slab.shift_across, 0);
+    put(of_slab.shift_along, 0);
   }
   template <class G>
   void put(const G& g, double unit) {
-    vectors.push_back(vector5(g));
-    units.push_back(unit);
+    noise.push_back(five(g));
+    noise_units.push_back(unit);
   }
 };
 
@@ -408,34 +433,28 @@ py::dict reference(const Detector& detector, const Array<double>& helix, double 
       Tracer<double, FieldReference<double>, StandsAtWires>(detector, start, species, group).run(true);
     }
   }
-  std::vector<Vector5> rows;
-  std::vector<double> predicted, extent;
-  NoiseVectors noise;
+  Followed found;
   for (const GroupStep& step : group.steps) {
     for (std::int32_t s = step.first; s < step.last; ++s) {
       const Slot<double>& slot = group.slots[static_cast<std::size_t>(s)];
       if (!slot.met) continue;
-      rows.push_back(vector5(slot.row));
-      predicted.push_back(slot.predicted);
-      extent.push_back(slot.extent);
+      found.rows.push_back(five(slot.row));
+      found.predicted.push_back(slot.predicted);
+      found.extent.push_back(slot.extent);
     }
     const auto number = static_cast<std::size_t>(step.noise);
     if (!step.is_slab || !group.ahead[number]) continue;
     const bool shifts = detector.slabs[static_cast<std::size_t>(step.slab)].shifts;
     if (group.dense) {
-      noise.add(group.dense_noise[number], group.kinks[number], shifts);
+      found.add(group.dense_noise[number], group.kinks[number], shifts);
     } else {
-      noise.add(group.noise[number], group.kinks[number], shifts);
+      found.add(group.noise[number], group.kinks[number], shifts);
     }
   }
-  py::dict result;
-  result["rows"] = rows_of(rows);
-  result["noise"] = rows_of(noise.vectors);
-  result["noise_units"] = to_numpy(std::move(noise.units));
-  result["reached"] = predicted.size();
+  const std::size_t reached = found.predicted.size();
+  py::dict result = to_dict(std::move(found));
+  result["reached"] = reached;
   result["stopped"] = bool(group.stopped);
-  result["predicted"] = to_numpy(std::move(predicted));
-  result["extent"] = to_numpy(std::move(extent));
   return result;
 }
 

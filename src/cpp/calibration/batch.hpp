@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "calibration/sums.hpp"
+#include "common/angles.hpp"
 #include "kalman/builder.hpp"
 #include "kalman/field_reference.hpp"
 #include "kalman/filter.hpp"
@@ -150,7 +151,7 @@ class SumsBatch {
         if (slot.hit[k] < 0) continue;
         const UsedHit& hit = tracks_.used[tracks_.first(first + k) + static_cast<std::size_t>(slot.hit[k])];
         const int i = static_cast<int>(k);
-        if (!hit.used || !lane(slot.met, i)) continue;
+        if (hit.used == 0 || !lane(slot.met, i)) continue;
         set_lane(slot.used, i, true);
         set_lane(slot.value, i, hit.value);
         set_lane(slot.variance, i, hit.variance);
@@ -171,12 +172,12 @@ class SumsBatch {
     row.used = good ? 1 : 0;
     row.hits = static_cast<std::int32_t>(hits);
     row.chi2 = lane(state.chi2, k);
-    row.helix = {lane(helix_.d + state.x[0], k), lane(helix_.psi + state.x[1], k),
+    row.helix = {lane(helix_.d + state.x[0], k), wrap_angle(lane(helix_.psi + state.x[1], k) - 0.5 * pi),
                  lane(helix_.kappa + state.x[2], k), lane(helix_.z0 + state.x[3], k),
                  lane(helix_.tanl + state.x[4], k)};
     for (int i = 0; i < parameters; ++i)
       for (int j = 0; j < parameters; ++j)
-        row.covariance[static_cast<std::size_t>(parameters * i + j)] = lane(state.c(i, j), k);
+        row.covariance[static_cast<std::size_t>(i)][static_cast<std::size_t>(j)] = lane(state.c(i, j), k);
   }
 
   // From the outermost measurement inward, as the filter. A column is zero up to its first measurement.

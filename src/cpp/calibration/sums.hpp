@@ -11,17 +11,14 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <tuple>
 
 #include "calibration/columns.hpp"
+#include "common/columns.hpp"
 #include "common/interrupt.hpp"
+#include "kalman/used_hit.hpp"
 
 namespace cgemit {
-
-// A measurement as the fit used it.
-struct UsedHit {
-  bool used;               // not an outlier
-  double value, variance;  // mm, mm^2; of a wire with the sign of its side
-};
 
 // Tracks, each about the helix where its fit was linearised. Hits of a track are ordered outward.
 struct FittedTracks {
@@ -46,8 +43,14 @@ struct SummedTrack {
   std::uint8_t used;  // 0: its filter fails
   std::int32_t hits;
   double chi2;
-  std::array<double, 5> helix;        // (d, psi, kappa, z0, tanl)
-  std::array<double, 25> covariance;  // of them
+  std::array<double, 5> helix;  // (dr, phi0, kappa, dz, tanl) as in the BES3 files
+  std::array<std::array<double, 5>, 5> covariance;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("used", &SummedTrack::used), Column("hits", &SummedTrack::hits),
+                      Column("chi2", &SummedTrack::chi2), Column("helix", &SummedTrack::helix),
+                      Column("cov", &SummedTrack::covariance));
+  }
 };
 
 // `normal` (columns squared), `right` and `measured` (columns) are sums, to which the tracks are added;

@@ -184,13 +184,20 @@ class CovarianceBatch {
             rows[k].status == FitStatus::ok ? lane(covariance.v[e], static_cast<int>(k)) : std::nan("");
   }
 
+  std::int32_t number(std::int32_t layer) const {
+    return detector_.wires[static_cast<std::size_t>(layer)].number;
+  }
   void write_hits(std::size_t n) {
     for (int k = 0; k < static_cast<int>(n); ++k)
       for (const Slot<T>& slot : group_.slots)
         if (lane(slot.met, k))
-          out_.hits->push_back({slot.view, slot.layer, slot.hit[static_cast<std::size_t>(k)],
-                                lane(slot.predicted, k), lane(slot.variance, k), lane(slot.k, k),
-                                lane(slot.x, k)});
+          out_.hits->push_back({.view = slot.view,
+                                .layer = slot.view == View::wire ? number(slot.layer) : slot.layer,
+                                .channel = slot.hit[static_cast<std::size_t>(k)],
+                                .value = lane(slot.predicted, k),
+                                .variance = lane(slot.variance, k),
+                                .k = lane(slot.k, k),
+                                .x = lane(slot.x, k)});
   }
 
   // Adds the sums of the lanes to the budgets of their points: of n tracks, or of lanes of one point.

@@ -5,8 +5,10 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "common/interrupt.hpp"
 #include "common/status.hpp"
 #include "kalman/group.hpp"
@@ -73,16 +75,29 @@ struct CovarianceRow {
   std::array<double, covariance_entries> covariance;  // of (d, psi, kappa, z0, tanl)
   std::int32_t clusters, wires;
   FitStatus status;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("covariance", &CovarianceRow::covariance),
+                      Column("n_clusters", &CovarianceRow::clusters),
+                      Column("n_wires", &CovarianceRow::wires), Column("status", &CovarianceRow::status));
+  }
 };
 
 // A hit that a track is expected to leave, on its reference trajectory.
 struct ExpectedHit {
   View view;
-  std::int32_t layer;    // index into the detector's layers or wires
+  std::int32_t layer;    // CGEM layer, or number of the wire layer
   std::int32_t channel;  // sheet or wire
   double value;          // mm, X, V - k x or signed distance from the wire
   double variance;       // mm^2
   double k, x;           // x in mm
+
+  static constexpr auto columns() {
+    return std::tuple(Column("kind", &ExpectedHit::view), Column("layer", &ExpectedHit::layer),
+                      Column("channel", &ExpectedHit::channel), Column("value", &ExpectedHit::value),
+                      Column("variance", &ExpectedHit::variance), Column("k", &ExpectedHit::k),
+                      Column("x", &ExpectedHit::x));
+  }
 };
 
 // One row per track, then one per track for each variant. `budget` may be null; otherwise it holds
@@ -91,7 +106,7 @@ struct ExpectedHit {
 struct CovarianceOutput {
   CovarianceRow* rows;
   BudgetTerm* budget;
-  std::vector<ExpectedHit>* hits;
+  Columns<ExpectedHit>* hits;
 };
 
 // Whether the surfaces of two detectors have the same order, so that hits of one can be used for the other.

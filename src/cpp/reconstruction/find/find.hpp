@@ -4,8 +4,10 @@
 
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "common/interrupt.hpp"
 #include "kalman/group.hpp"
 #include "matter/kinematics.hpp"
@@ -66,6 +68,13 @@ struct FindOutput {
   // Of each event: seeds that were followed, and the limits that cut the search off (`SearchLimit`).
   std::vector<std::int64_t> seeds;
   std::vector<std::uint8_t> limits;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &FindOutput::event), Column("offsets", &FindOutput::offsets),
+                      Column("hits", &FindOutput::hits), Column("score", &FindOutput::score),
+                      Column("chi2", &FindOutput::chi2), Column("holes", &FindOutput::holes),
+                      Column("seeds", &FindOutput::seeds), Column("limits", &FindOutput::limits));
+  }
 };
 
 // Layers that a circle from the beam line needs, where no cells fire by chance: of axial wires and with X.

@@ -50,7 +50,10 @@ class BatchFit {
     }
     // A fit that does not converge with kinks is repeated without.
     if (kinks) fit_all(starts, false, false);
+    const int free = is_straight(detector_.bz) ? 4 : 5;  // parameters that the hits determine
+    const int spot = settings_.beam[0] > 0 ? 2 : 0;
     for (std::size_t track = 0; track < input_.tracks(); ++track) {
+      out_.rows[track].ndf = out_.rows[track].clusters + out_.rows[track].wires + spot - free;
       mark_left_out(out_.rows[track]);
       mark_unconstrained(out_.rows[track], input_.charge[track]);
     }
@@ -117,7 +120,7 @@ class BatchFit {
   // few wires of one stereo angle say little of z: the errors along z are then those of the filter's prior.
   void mark_unconstrained(FitRow& row, double charge) const {
     if (row.status != FitStatus::ok) return;
-    const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[parameters * i + k]; };
+    const auto cov = [&row](std::size_t i, std::size_t k) { return row.covariance[i][k]; };
     const auto as_prior = [&](std::size_t i) {
       const double sigma = most_error * settings_.prior_sigma[i];
       return !(cov(i, i) < sigma * sigma);

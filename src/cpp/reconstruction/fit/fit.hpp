@@ -5,7 +5,9 @@
 #include <array>
 #include <cstdint>
 #include <span>
+#include <tuple>
 
+#include "common/columns.hpp"
 #include "common/interrupt.hpp"
 #include "common/status.hpp"
 #include "kalman/group.hpp"
@@ -52,9 +54,10 @@ struct FitInput {
 // One row per track; (dr, phi0, kappa, dz, tanl) as in the BES3 files.
 struct FitRow {
   std::array<double, 5> helix;
-  std::array<double, 25> covariance;
+  std::array<std::array<double, 5>, 5> covariance;
   double chi2;
   std::int32_t clusters, wires, iterations, outliers;
+  std::int32_t ndf;
   FitStatus status;
   // Of electrons and positrons, of ln(p/p_fit): mode, limits of 68 and of 95 %; all 0: normal with the error
   // of p.
@@ -62,6 +65,16 @@ struct FitRow {
   double radiated,
       radius_radiated;  // probability of a loss that the hits show; mm, where it is most probable
   double matter_p;  // GeV/c at the origin, with which the track scatters and loses energy; 0: that of kappa
+
+  static constexpr auto columns() {
+    return std::tuple(
+        Column("helix", &FitRow::helix), Column("cov", &FitRow::covariance), Column("chi2", &FitRow::chi2),
+        Column("ndf", &FitRow::ndf), Column("n_clusters", &FitRow::clusters),
+        Column("n_wires", &FitRow::wires), Column("n_outliers", &FitRow::outliers),
+        Column("iterations", &FitRow::iterations), Column("status", &FitRow::status),
+        Column("limits", &FitRow::limits), Column("radiated", &FitRow::radiated),
+        Column("radius_radiated", &FitRow::radius_radiated), Column("matter_p", &FitRow::matter_p));
+  }
 };
 
 // One row per hit, compared with the track fitted without it.
@@ -70,6 +83,11 @@ struct HitRow {
   double error;       // mm, of that difference; 0: the track does not cross the surface
   std::int8_t side;   // wires: the side of the larger weight; clusters: 0
   std::uint8_t used;  // 0: an outlier, not used
+
+  static constexpr auto columns() {
+    return std::tuple(Column("residual", &HitRow::residual), Column("err", &HitRow::error),
+                      Column("side", &HitRow::side), Column("used", &HitRow::used));
+  }
 };
 
 // Bins of losses in the density of the momentum of electrons: components without a visible loss, and with one
@@ -80,16 +98,33 @@ inline constexpr int density_bins = 10, density_components = 2 * density_bins + 
 // the density is normal with the error of p.
 struct DensityRow {
   std::array<double, density_components> weight, mean, sigma;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("density_weight", &DensityRow::weight),
+                      Column("density_mean", &DensityRow::mean), Column("density_sigma", &DensityRow::sigma));
+  }
 };
 
 // State of the last iteration, for states along the track; (d, psi, kappa, z0, tanl).
 struct LastIteration {
-  std::array<double, 5> reference;  // the linearisation point
-  std::array<double, 25> prior;     // the covariance of the filter's prior
+  std::array<double, 5> reference;             // the linearisation point
+  std::array<std::array<double, 5>, 5> prior;  // the covariance of the filter's prior
+
+  static constexpr auto columns() {
+    return std::tuple(Column("reference", &LastIteration::reference), Column("prior", &LastIteration::prior));
+  }
 };
-using KinkRow = std::array<double, 2>;  // rad, of one slab; see Kink
+struct KinkRow {
+  std::array<double, 2> angles;  // rad, of one slab; see Kink
+
+  static constexpr auto columns() { return std::tuple(Column("kinks", &KinkRow::angles)); }
+};
 struct Measured {
   double value, variance;  // mm, mm^2; variance 0: the track does not cross the surface
+
+  static constexpr auto columns() {
+    return std::tuple(Column("used_value", &Measured::value), Column("used_variance", &Measured::variance));
+  }
 };
 
 // The output rows. `hits` and `densities` (one per track) may be null. `last`, `measured` and `kinks` (one

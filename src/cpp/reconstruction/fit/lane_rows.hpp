@@ -23,9 +23,10 @@ struct LinearisedAbout {
 };
 
 template <class T>
-void write_covariance(const Symmetric<T>& c, int i, std::array<double, 25>& out) {
+void write_covariance(const Symmetric<T>& c, int i, std::array<std::array<double, 5>, 5>& out) {
   for (int k = 0; k < parameters; ++k) {
-    for (int m = 0; m < parameters; ++m) out[static_cast<std::size_t>(parameters * k + m)] = lane(c(k, m), i);
+    for (int m = 0; m < parameters; ++m)
+      out[static_cast<std::size_t>(k)][static_cast<std::size_t>(m)] = lane(c(k, m), i);
   }
 }
 
@@ -115,11 +116,11 @@ void write_reference(const FitLane& to, const LinearisedAbout<T>& about, const G
   to.last->reference = {lane(helix.d, i), lane(helix.psi, i), lane(helix.kappa, i), lane(helix.z0, i),
                         lane(helix.tanl, i)};
   write_covariance(about.prior, i, to.last->prior);
-  std::fill_n(to.kinks, slabs, KinkRow{0, 0});
+  std::fill_n(to.kinks, slabs, KinkRow{});
   for (const GroupStep& step : group.steps) {
     if (!step.is_slab || !lane(group.kinked, i)) continue;
     const Kink<T>& kink = about.kinks[static_cast<std::size_t>(step.noise)];
-    to.kinks[step.slab] = {lane(kink.aside, i), lane(kink.up, i)};
+    to.kinks[step.slab].angles = {lane(kink.aside, i), lane(kink.up, i)};
   }
 }
 

@@ -23,7 +23,7 @@ class States {
       if (station.hit < 0) continue;
       const auto i = static_cast<std::size_t>(station.hit);
       TrajectoryTerm& row = trajectory_.terms[station.term];
-      row.used = track.used[i].used;
+      row.used = track.used[i].used != 0;
       row.variance = track.used[i].variance;
       row.value = track.used[i].value - trajectory_.predicted[i];
     }

@@ -3,11 +3,14 @@
 
 #include <cstdint>
 #include <span>
+#include <tuple>
 #include <vector>
 
+#include "common/columns.hpp"
 #include "common/status.hpp"
 #include "kalman/local.hpp"
 #include "kalman/smoother.hpp"
+#include "kalman/used_hit.hpp"
 
 namespace cgemit {
 
@@ -18,13 +21,11 @@ struct Target {
   StateSurface surface;
   double radius;  // mm, of a cylinder
   double share;   // part of the slab cut by the cylinder that lies inside it
-};
 
-// One measurement as the last iteration of the fit used it.
-struct Used {
-  bool used;        // not an outlier
-  double value;     // mm, signed
-  double variance;  // mm^2
+  static constexpr auto columns() {
+    return std::tuple(Column("surface", &Target::surface), Column("radius", &Target::radius),
+                      Column("share", &Target::share));
+  }
 };
 
 struct TrackState {
@@ -37,7 +38,7 @@ struct TrackState {
 // A fitted track: the helix about which its last iteration was linearised, and the measurements it used.
 struct FittedTrack {
   std::span<const Hit> hits;
-  std::span<const Used> used;
+  std::span<const UsedHit> used;
   Perigee reference;
   std::span<const double> kinks;  // of the helix, two angles for every slab
   Matrix5 prior;                  // of the filter

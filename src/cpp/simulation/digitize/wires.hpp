@@ -19,6 +19,14 @@ struct WireTruthColumns {
   std::span<const double> delay;              // ns, by which the signal is later than the drift
 
   std::size_t size() const { return event.size(); }
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &WireTruthColumns::event),
+                      Column("particle", &WireTruthColumns::particle),
+                      Column("layer", &WireTruthColumns::layer), Column("wire", &WireTruthColumns::wire),
+                      Column("doca", &WireTruthColumns::doca), Column("side", &WireTruthColumns::side),
+                      Column("delay", &WireTruthColumns::delay));
+  }
 };
 
 struct WireReadout {

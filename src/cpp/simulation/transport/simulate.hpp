@@ -38,6 +38,16 @@ struct ParticleColumns {
   std::span<const double> decay_time{};
 
   bool decays_at(std::size_t row) const { return !decay_time.empty() && decay_time[row] < HUGE_VAL; }
+
+  static constexpr auto columns() {
+    return std::tuple(Column("event", &ParticleColumns::event),
+                      Column("particle", &ParticleColumns::particle), Column("pdg", &ParticleColumns::pdg),
+                      Column("charge", &ParticleColumns::charge), Column("mass", &ParticleColumns::mass),
+                      Column("x", &ParticleColumns::x), Column("y", &ParticleColumns::y),
+                      Column("z", &ParticleColumns::z), Column("px", &ParticleColumns::px),
+                      Column("py", &ParticleColumns::py), Column("pz", &ParticleColumns::pz));
+  }
+  static constexpr auto optional() { return std::tuple(Column("decay_time", &ParticleColumns::decay_time)); }
 };
 
 struct Simulated {
