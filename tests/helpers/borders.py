@@ -57,6 +57,35 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
             yield from leaves(one, (*path, name))
 
 
+def entries(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the paths of all entries of the dicts among arguments: columns of tables, and settings."""
+    if isinstance(value, dict):
+        for name, one in value.items():
+            yield (*path, name)
+            yield from entries(one, (*path, name))
+    elif isinstance(value, (list, tuple)):
+        for i, one in enumerate(value):
+            yield from entries(one, (*path, i))
+
+
+def of_another_type(value: Any) -> Any:
+    """Return a value that stands for none of this type: text for a number, a number for text."""
+    if isinstance(value, np.ndarray):
+        return np.full(value.shape, "text")
+    return 0.5 if isinstance(value, str) else "text"
+
+
+def changed(value: Any, path: tuple[Any, ...], change: Callable[[Any], Any] | None) -> Any:
+    """Return a copy in which the entry at the path is changed, or missing without a change."""
+    step, *rest = path
+    if isinstance(value, dict):
+        if not rest:
+            others = {name: one for name, one in value.items() if name != step}
+            return others if change is None else value | {step: change(value[step])}
+        return value | {step: changed(value[step], tuple(rest), change)}
+    return type(value)(changed(one, tuple(rest), change) if i == step else one for i, one in enumerate(value))
+
+
 def replaced(value: Any, path: tuple[Any, ...], number: float) -> Any:
     """Return a copy in which the number at the path is another one."""
     if not path:

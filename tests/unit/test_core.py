@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from borders import Call, compiled_names, deaths, recorded
+from borders import Call, changed, compiled_names, deaths, entries, of_another_type, recorded
 from cgemit import _core
 from cgemit.detector import compiled
 from cgemit.particles.species import compiled_decays
@@ -61,6 +61,9 @@ def calls() -> dict[str, list[Call]]:
         fitted = result.fitted, result.candidates, result.candidate_hits, result.clusters, result.wire_hits
         cg.match(*fitted, *truth, detector=detector)
         seedless(cg.load("kloe2-like"))
+        core = compiled(result.detector)
+        hits = collect_hits(core, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
+        _core.reconstruction.hit_problems(core, hits.columns())
         cg.alignment_forecast(DESIGN, [(gun, 10)], cg.AlignmentSettings(free=("cgem.*",)), threads=1)
         cg.helix.change_pivot(
             np.array([[0.0, 1.0, 1.0, 0.0, 0.1]]), np.eye(5)[None], np.zeros((1, 3)), np.ones((1, 3)), 1.0
@@ -73,7 +76,6 @@ def test_calls_of_all_functions_that_take_numbers_are_recorded(calls: dict[str, 
     assert len({name for _, name, _ in names}) == len(names) > 60
     functions = {name for _, name, one in names if callable(one) and not hasattr(one, "__members__")}
     no_numbers = {
-        "hit_problems",
         "isa",
         "keep_memory",
         "lanes",
@@ -106,6 +108,102 @@ def test_deaths_and_endless_calls_are_seen(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("borders.SECONDS", 1)
     found = deaths(Call("function", function, (1.0,), {"other": {"x": 1.0}}))
     assert found == ["function(0, 0): inf: SIGSEGV", "function(1, 'other', 'x'): 0.0: SIGALRM"]
+
+
+#: Columns that a function does not read of the tables that it is given whole, by function and argument.
+UNREAD = {
+    "match_hits particles, assign_hits particles, particle_rows 0": "charge mass pdg px py pz status x y z",
+    "match_hits truths, assign_hits truths": """
+        energy entry_x entry_y entry_z exit_x exit_y exit_z layer path phi px py pz r secondaries time z""",
+    "match_hits wire_truths, assign_hits wire_truths": "doca layer side time wire x y z",
+    "match_hits clusters": """
+        charge err_phi err_v err_x err_z event first last layer method n_truths phi r score sheet size time v v_cluster
+        x z""",
+    "match_hits wire_hits": "drift drift_time event gid layer side sigma wire",
+    "match_hits candidate_hits": "event",
+    "assign_hits clusters": """
+        charge corr_xv err_phi err_v err_x err_z event first last method n_truths phi r score sheet size time v
+        v_cluster x x_cluster z""",
+    "assign_hits wire_hits": "drift drift_time event gid side sigma wire",
+    "particle_rows 1": """
+        daughter energy entry_x entry_y entry_z exit_x exit_y exit_z half_turn layer path phi px py pz r secondaries
+        time z""",
+    "read_out_analog 1, read_out_profiles 1, read_out_strips 1, seen_crossings 1, smear_positions 1": """
+        daughter half_turn path px py pz r secondaries""",
+    "read_out_analog 2, read_out_profiles 2, read_out_strips 2": "delta",
+    "read_out_analog drift": "lean",
+    "read_out_wires 1": "daughter half_turn time x y z",
+    "find_clusters 1, find_charge_time_clusters 1, clusters_of_positions 1": "gid",
+    "charge_variances shares": "charges_apart log_numbers times_apart",
+}
+#: Columns that may be missing.
+OPTIONAL = {
+    "find_clusters 1, find_charge_time_clusters 1": "position",
+    "find_tracks hits": "row",
+    "fit hits, hit_problems 1": "k row side x",
+    "states hits, sums hits": "k x",
+}
+
+
+def listed(columns: dict[str, str]) -> set[str]:
+    return {
+        f"{one} {name}" for several, names in columns.items() for one in several.split(", ") for name in names.split()
+    }
+
+
+def accepted(call: Call, change: Callable[[Any], Any] | None, unnamed: list[str]) -> set[str]:
+    """Return the entries of the dicts of a call that it takes when they are changed, or missing without a change.
+
+    To `unnamed` is added what is said of others that are refused without their name.
+    """
+    found = set[str]()
+    names = [*map(str, range(len(call.arguments))), *call.keywords]
+    given = [*call.arguments, *call.keywords.values()]
+    for number, *inside in entries(given):
+        if not inside:
+            continue
+        text, values = f"{call.name} {names[number]} {inside[-1]}", list(given)
+        values[number] = changed(given[number], tuple(inside), change)
+        n = len(call.arguments)
+        try:
+            call.function(*values[:n], **dict(zip(call.keywords, values[n:], strict=True)))
+        except Exception as error:
+            if not (isinstance(error, ValueError) and re.search(rf"(^|\s){inside[-1]}: ", str(error))):
+                unnamed.append(f"{text}: {error}")
+        else:
+            found.add(text)
+    return found
+
+
+def test_entries_that_are_missing_or_of_another_type_are_named(calls: dict[str, list[Call]]) -> None:
+    unnamed = list[str]()
+    missing, other = (
+        set[str]().union(*(accepted(several[0], change, unnamed) for several in calls.values()))
+        for change in (None, of_another_type)
+    )
+    assert unnamed == []
+    assert other == listed(UNREAD)
+    assert missing == listed(UNREAD) | listed(OPTIONAL)
+
+
+def test_problems_of_all_tables_of_a_detector_are_listed(calls: dict[str, list[Call]]) -> None:
+    call = calls["Detector"][0]
+    given = dict(call.keywords)
+    given["slabs"] = without(given["slabs"], "z_max") | {"x0": np.full(len(given["slabs"]["x0"]), "a")}
+    given["layers"] = without(given["layers"], "placement_turn") | {"phi_first": given["layers"]["phi_first"][:, 1:]}
+    given["composition"] = without(given["composition"], "moles")
+    given["gaps"] = [{**given["gaps"][0], "xi": "a", "slices": without(given["gaps"][0]["slices"], "rate")}]
+    with pytest.raises(ValueError, match=r"^detector:") as caught:
+        call.function(*call.arguments, **given)
+    assert sorted(str(caught.value).splitlines()[1:]) == [
+        "  composition moles: missing",
+        "  gaps[0] slices rate: missing",
+        "  gaps[0] xi: got 'a', which has another type than the field",
+        f"  layers phi_first: expected shape ({len(given['layers']['sheets'])}, 8)",
+        "  layers placement_turn: missing",
+        "  slabs x0: got <U1, expected float64",
+        "  slabs z_max: missing",
+    ]
 
 
 def without(columns: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:

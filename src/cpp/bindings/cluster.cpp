@@ -106,12 +106,12 @@ py::dict with_times(const Detector& detector, const py::dict& table, const py::d
   const auto rows = static_cast<py::ssize_t>(n);
   const auto layers = Inputs(timing, "timing", rows).read_rows<LayerTiming>();
   const std::vector<PlaneErrors> by_plane = plane_errors(planes, 2 * rows);
-  const auto array = [](const py::dict& from, const char* name) { return from[name].cast<Array<double>>(); };
-  const Array<double> spreads = array(delays, "spreads"), charges = array(delays, "charges"),
-                      delay = array(delays, "delays"), share_paths = array(shares, "paths"),
-                      numbers = array(shares, "numbers"), values = array(shares, "values"),
-                      charges_apart = array(shares, "charges_apart"),
-                      times_apart = array(shares, "times_apart"), log_numbers = array(shares, "log_numbers");
+  const Array<double> spreads = take<double>(delays, "spreads"), charges = take<double>(delays, "charges"),
+                      delay = take<double>(delays, "delays"), share_paths = take<double>(shares, "paths"),
+                      numbers = take<double>(shares, "numbers"), values = take<double>(shares, "values"),
+                      charges_apart = take<double>(shares, "charges_apart"),
+                      times_apart = take<double>(shares, "times_apart"),
+                      log_numbers = take<double>(shares, "log_numbers");
   const py::ssize_t points = n == 0 ? 2 : charges.size() / (2 * rows);
   if (points < 2 || spreads.size() < 1) throw std::invalid_argument("delays: expected charges and times");
   const ChargeTimeModel model{
@@ -145,10 +145,9 @@ py::array_t<double> expected_variances(const py::dict& chip, const py::dict& pla
                                        const std::string& estimator, bool of_track, int view,
                                        std::size_t layer, const Array<double>& slope,
                                        const Array<double>& path, const Array<double>& number) {
-  const auto array = [](const py::dict& from, const char* name) { return from[name].cast<Array<double>>(); };
-  const Array<double> share_paths = array(shares, "paths"), numbers = array(shares, "numbers"),
-                      values = array(shares, "values");
-  const auto rows = array(planes, "pitch").size();
+  const Array<double> share_paths = take<double>(shares, "paths"), numbers = take<double>(shares, "numbers"),
+                      values = take<double>(shares, "values");
+  const auto rows = take<double>(planes, "pitch").size();
   const std::vector<PlaneErrors> by_plane = plane_errors(planes, rows);
   const ChargeErrors errors{
       chip_errors(chip), by_plane, share_table(share_paths, numbers, values, rows / 2), {}, {}, {}};
