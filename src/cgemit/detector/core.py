@@ -553,5 +553,5 @@ def _error_columns(layers: Sequence[WireLayer], columns: Columns) -> Columns:
             sigma[i], slope[i] = errors[0], slopes[0]
             ramps += [(i, node, new - old) for node, old, new in zip(nodes[1:], slopes[:-1], slopes[1:], strict=True)]
     rows, starts, changes = np.array(ramps, np.float64).reshape(-1, 3).T
-    found = {"ramp_layer": rows.astype(np.int32), "ramp_from": starts.copy(), "ramp_change": changes.copy()}
+    found: Columns = {"ramp_layer": rows.astype(np.int32), "ramp_from": starts.copy(), "ramp_change": changes.copy()}
     return {"sigma": sigma, "sigma_slope": slope, **found}

@@ -353,7 +353,7 @@ def electron_table(shells: Sequence[Shell]) -> Floats:
 
 def _electron_columns(groups: Sequence[Sequence[Shell]]) -> dict[str, Floats]:
     """Return the electron tables of groups of sub-layers by the names of their columns, (n, ELECTRON_POINTS) each."""
-    columns = np.moveaxis([electron_table(group) for group in groups], -1, 0)
+    columns = np.moveaxis(np.array([electron_table(group) for group in groups]), -1, 0)
     return {name: column.copy() for name, column in zip(_ELECTRON_COLUMNS, columns, strict=True)}
 
 
