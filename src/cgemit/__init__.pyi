@@ -11,6 +11,9 @@ from .base.progress import ProgressBar as ProgressBar
 from .base.version import __version__ as __version__
 from .calibration.align import Alignment as Alignment
 from .calibration.align import align as align
+from .calibration.clusters import LorentzAngles as LorentzAngles
+from .calibration.clusters import cluster_error_factors as cluster_error_factors
+from .calibration.clusters import lorentz_angles as lorentz_angles
 from .calibration.forecast import AlignmentForecast as AlignmentForecast
 from .calibration.forecast import alignment_forecast as alignment_forecast
 from .calibration.settings import AlignmentSettings as AlignmentSettings
@@ -40,6 +43,7 @@ from .particles.samples import EventSample as EventSample
 from .particles.samples import sample as sample
 from .reconstruction.candidates import label_candidates as label_candidates
 from .reconstruction.cluster import cluster as cluster
+from .reconstruction.cluster_errors import ErrorFactors as ErrorFactors
 from .reconstruction.clusterers.clusterer import ClusterSettings as ClusterSettings
 from .reconstruction.find.ckf import FindSettings as FindSettings
 from .reconstruction.find.ckf import find_tracks as find_tracks

@@ -39,6 +39,7 @@ COMMANDS = {
     "display": "draw one event",
     "readout": "resolution of an analog readout against the incidence; errors of its clusters",
     "reconstruct": "find and fit the tracks of BESIII events, from fired cells and strips",
+    "monitor": "page of a run: strips, residuals, efficiencies",
     "refit": "fit tracks of BESIII again, beside its own fit",
     "align": "find displaced parts of a detector with tracks, or forecast the errors",
     "slab": "scattering and energy loss in layers of matter",

@@ -481,10 +481,10 @@ def add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--debug", action="store_true", help="show where in the program an error arose")
 
 
-def add_detector(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+def add_detector(parser: argparse.ArgumentParser, *, several: bool = False, required: bool = True) -> None:
     """Add `--detector`, which may be repeated if there are `several`, `--set` and `--name`."""
     detector = parser.add_argument(
-        "-d", "--detector", action="append" if several else _Once, required=True, metavar="NAME|FILE",
+        "-d", "--detector", action="append" if several else _Once, required=required, metavar="NAME|FILE",
         help="a preset (see: cgemit detectors) or a detector file in TOML"
         + ("; repeat it to compare detectors" if several else ""),
     )  # fmt: skip

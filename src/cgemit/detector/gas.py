@@ -721,7 +721,8 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
 
     In a cylinder the azimuth grows by tan(alpha) ln(r2/r1) over a gap, with the angle at the nominal field. Electrons
     drift outward; in a field along +z they are bent towards larger phi. A `lorentz_shift` of the layer replaces the
-    shift from mid-gap to the anode: `shift` changes, the angle in the drift gap stays.
+    shift from mid-gap to the anode: `shift` changes, the angle in the drift gap stays. A `lorentz_angle` replaces that
+    of the drift gap alone.
 
     Parameters
     ----------
@@ -749,7 +750,7 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
     drift, transfer, induction = found
     gaps = _gaps_behind(layer, transfer, induction)
     sign = math.copysign(1.0, bz)
-    tangent = sign * drift.tan_lorentz
+    tangent = sign * (drift.tan_lorentz if layer.lorentz_angle is None else math.tan(layer.lorentz_angle))
     shifts = [sign * gap.transport.tan_lorentz * math.log(gap.r_out / gap.r_in) for gap in gaps]
     shift = sum(shifts)
     if layer.lorentz_shift is not None:

@@ -67,6 +67,18 @@ class BackgroundLevel(Part):
     )
     noise_x: float = field(metadata=key("rate", "noise of an X strip of the innermost layer", 0, 1e6), default=0.0)
     noise_v: float = field(metadata=key("rate", "noise of a V strip of the innermost layer", 0, 1e6), default=0.0)
+    outer_noise_x: float = field(
+        metadata=key("rate", "noise of an X strip of the other layers", 0, 1e6, quiet=True), default=0.0
+    )
+    outer_noise_v: float = field(
+        metadata=key("rate", "noise of a V strip of the other layers", 0, 1e6, quiet=True), default=0.0
+    )
+    noise_low: float | None = field(
+        metadata=key("charge", "smallest charge of noise; without it charge_low", -1e3, 1e6, quiet=True), default=None
+    )
+    noise_high: float | None = field(
+        metadata=key("charge", "largest charge of noise; without it charge_high", -1e3, 1e6, quiet=True), default=None
+    )
     hot_strips: float = field(metadata=key("dimensionless", "share of the strips that are hot", 0, 1), default=0.0)
     hot_strip_rate: float = field(metadata=key("rate", "hits of a hot strip", 0, 1e6), default=0.0)
     dead_strips: float = field(metadata=key("dimensionless", "share of the strips that never fire", 0, 1), default=0.0)

@@ -7,6 +7,14 @@ from cgemit.draw.curves import ViewCurves, draw_finding, draw_readout, draw_refi
 from cgemit.draw.design import draw_budget, draw_budgets, draw_maps, draw_sensitivity
 from cgemit.draw.detector import draw_detector, draw_material, draw_sides
 from cgemit.draw.display import event, event_3d, save_page
+from cgemit.draw.monitor import (
+    draw_efficiencies,
+    draw_hit_residuals,
+    draw_residual_profiles,
+    draw_strip_signals,
+    draw_strips,
+    draw_tracks,
+)
 from cgemit.draw.slab import draw_slab
 from cgemit.draw.style import Picture
 
@@ -20,8 +28,10 @@ __all__ = [
     "draw_cluster",
     "draw_constants",
     "draw_detector",
+    "draw_efficiencies",
     "draw_finding",
     "draw_formation",
+    "draw_hit_residuals",
     "draw_maps",
     "draw_material",
     "draw_modes",
@@ -29,9 +39,13 @@ __all__ = [
     "draw_readout",
     "draw_refit",
     "draw_residual_means",
+    "draw_residual_profiles",
     "draw_sensitivity",
     "draw_sides",
     "draw_slab",
+    "draw_strip_signals",
+    "draw_strips",
+    "draw_tracks",
     "event",
     "event_3d",
     "residual",

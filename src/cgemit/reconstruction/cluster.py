@@ -22,6 +22,7 @@ from cgemit.detector.readouts import (
     names_of,
     part_of,
 )
+from cgemit.reconstruction.cluster_errors import read_error_factors, with_factors
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
@@ -168,6 +169,8 @@ def cluster(
         found = clusterer_of(group.readout).cluster(group, digis, settings, directions)
         if isinstance(group.readout, AnalogReadout):
             _warn_of_times(group, digis, found)
+        if settings.error_factors:
+            found = with_factors(detector, found, read_error_factors(settings.error_factors))
         return made_by(f"readout {group.readout.name}", "clusters", found, digis)
 
     groups = detector.groups

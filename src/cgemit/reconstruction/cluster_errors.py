@@ -6,11 +6,15 @@ inputs, and what they give for the clusters that a track is expected to have.
 
 from __future__ import annotations
 
+import csv
 import math
+import os
 import tomllib
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,12 +22,17 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.arrays import Floats
+from cgemit.base.errors import report
+from cgemit.base.files import new_file, read_text
 from cgemit.detector import Detector
 from cgemit.detector.gas import cluster_shares, cluster_sizes, clusters_per_mm, drift_columns, ionization
 from cgemit.detector.induction import WAY, charges_of_plane, cloud_widths
 from cgemit.detector.layers import CgemLayer
 from cgemit.detector.parts import cgem_layers
 from cgemit.detector.readouts import ELECTRON, AnalogReadout, ChargeReadout, ChipErrors, chip_arguments
+from cgemit.tables import Table
+from cgemit.tables.schema import XV_CLUSTER
+from cgemit.tables.show import Shown, Tabular, with_error, write_csv
 
 #: cos(theta) of tracks for which errors are expected, where these depend on it; linear between, constant beyond.
 COS_THETA = np.array([-0.9, -0.85, -0.78, -0.69, -0.58, -0.45, -0.3, -0.15, 0.0,
@@ -343,3 +352,174 @@ def _of_table(shares: dict[str, Floats], layer: int, path: Floats, numbers: Floa
             for i, length in enumerate(path)
         ]
     )
+
+
+#: Numbers of strips with factors of their own; the last one stands for all larger clusters, too.
+LARGEST_SIZE = 4
+_COLUMNS = ("layer", "view", "size", "hits", "factor", "err")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorFactors(Shown, Tabular):
+    """Factors on the errors of clusters, one row for each layer, view and number of strips.
+
+    Attributes
+    ----------
+    layer, view, size : ndarray, (n,) int64
+        View 0 X, 1 V; the size 4 stands for all clusters with four or more strips.
+    hits : ndarray, (n,) int64
+        From which the factor follows; a class with few has the factor of its layer and view, or of its view.
+    factor, err : ndarray, (n,) float64
+        On the standard deviation, and its error; NaN where there is none.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
+    >>> path = cg.cluster_error_factors(r).save("errors.csv")
+    >>> settings = cg.ClusterSettings(error_factors=str(path))
+    >>> wider = cg.cluster(r.detector, r.digis, settings)
+    >>> len(wider) == len(r.clusters)
+    True
+    """
+
+    layer: npt.NDArray[np.int64]
+    view: npt.NDArray[np.int64]
+    size: npt.NDArray[np.int64]
+    hits: npt.NDArray[np.int64]
+    factor: Floats
+    err: Floats
+
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return the rows as columns."""
+        return {name: getattr(self, name).tolist() for name in _COLUMNS}
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        sizes = [f"{size}+" if size == LARGEST_SIZE else f"{size}" for size in self.size]
+        rows = [
+            [
+                str(self.layer[i]), "XV"[self.view[i]], sizes[i], str(self.hits[i]),
+                with_error(self.factor[i], self.err[i]),
+            ]
+            for i in range(len(self.layer))
+        ]  # fmt: skip
+        return "factors on errors of clusters", ("layer", "view", "strips", "hits", "factor"), rows
+
+    def of_hits(self, layer: npt.NDArray[Any], view: npt.NDArray[Any], size: npt.NDArray[Any]) -> Floats:
+        """Return the factors of clusters, (n,) float64; 1 for layers and views without one.
+
+        Parameters
+        ----------
+        layer, view, size : ndarray, (n,) int
+        """
+        found = np.ones(len(layer))
+        size = np.minimum(size, LARGEST_SIZE)
+        for i in range(len(self.layer)):
+            found[(layer == self.layer[i]) & (view == self.view[i]) & (size == self.size[i])] = self.factor[i]
+        return found
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the table as CSV, as the setting `cluster.error_factors` reads it, and return its path.
+
+        Parameters
+        ----------
+        path : path
+        overwrite : bool
+            Whether an existing file may be replaced.
+
+        Raises
+        ------
+        FileExistsError
+            If the file exists and `overwrite` is false.
+        """
+        path = Path(path)
+        with new_file(path, overwrite=overwrite) as temporary:
+            write_csv(temporary, {name: getattr(self, name) for name in _COLUMNS})
+        return path
+
+
+def read_error_factors(path: str) -> ErrorFactors:
+    """Read the table that `ErrorFactors.save` writes.
+
+    Parameters
+    ----------
+    path : str
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        Listing the lines that are wrong.
+    """
+    rows = list(csv.reader(read_text(Path(path)).splitlines()))
+    if not rows or tuple(rows[0]) != _COLUMNS:
+        raise ValueError(
+            f"{path}: line 1: got {','.join(rows[0] if rows else [])!r:.80}, expected {','.join(_COLUMNS)}"
+        )
+    problems, found = [], []
+    for line, row in enumerate(rows[1:], 2):
+        try:
+            layer, view, size, hits = (int(cell) for cell in row[:4])
+            factor, err = (float(cell) if cell else math.nan for cell in row[4:])
+        except ValueError:
+            problems.append(f"line {line}: got {','.join(row)!r:.80}, expected four whole and two other numbers")
+            continue
+        if layer < 0 or view not in (0, 1) or not 1 <= size <= LARGEST_SIZE or not 0 < factor < 1e3:
+            problems.append(
+                f"line {line}: got {','.join(row)!r:.80}, expected a layer, view 0 or 1, size 1 to {LARGEST_SIZE}, "
+                "and a factor above 0 and below 1000"
+            )
+        found.append((layer, view, size, hits, factor, err))
+    report(path, problems)
+    columns = np.array(found, np.float64).reshape(-1, len(_COLUMNS)).T
+    return ErrorFactors(*(column.astype(np.int64) for column in columns[:4]), *columns[4:])
+
+
+def refuse_other_errors(name: str, clusters: Table) -> None:
+    """Raise an error if errors of clusters follow from their incidence, so that the fit takes them from elsewhere.
+
+    Parameters
+    ----------
+    name : str
+        Of the function that needs them.
+    clusters : Table
+
+    Raises
+    ------
+    ValueError
+    """
+    if len(clusters) and not (clusters["method"] == 1).all():
+        raise ValueError(
+            f"{name}: got clusters whose errors the fit takes from strips and incidence, expected those of a readout "
+            "with charge, such as tiger"
+        )
+
+
+def with_factors(detector: Detector, clusters: Table, factors: ErrorFactors) -> Table:
+    """Return clusters with factors on the errors of X and V; those of phi and z follow.
+
+    Parameters
+    ----------
+    detector : Detector
+    clusters : Table
+        Of a readout with charge.
+    factors : ErrorFactors
+
+    Raises
+    ------
+    ValueError
+        If the errors of clusters follow from strips and incidence.
+    """
+    refuse_other_errors("cluster.error_factors", clusters)
+    layer, view = clusters["layer"], clusters["view"]
+    factor = factors.of_hits(layer, view, clusters["size"])
+    err_x, err_v = clusters["err_x"] * factor, clusters["err_v"] * factor
+    joined = view == XV_CLUSTER
+    err_x[joined], err_v[joined] = err_x[clusters["x_cluster"][joined]], err_v[clusters["v_cluster"][joined]]
+    radius = np.array([one.r_readout for one in detector.layers])[layer]
+    stereo = np.array([one.stereo for one in detector.layers])[layer]
+    err_z = np.hypot(err_v, np.cos(stereo) * err_x) / np.abs(np.sin(stereo))
+    columns = {"err_x": err_x, "err_v": err_v}
+    columns["err_phi"] = np.where(np.isfinite(clusters["err_phi"]), err_x / radius, clusters["err_phi"])
+    columns["err_z"] = np.where(np.isfinite(clusters["err_z"]), err_z, clusters["err_z"])
+    return clusters.with_columns(**columns)

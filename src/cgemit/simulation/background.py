@@ -318,12 +318,19 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     ])  # fmt: skip
     clusters = np.zeros(len(detector.layers))
     clusters[numbers] = rate * area * level.strip_window * 1e-6 * factor
+    single = np.zeros((len(detector.layers), 2))
+    single[numbers] = _probability([level.outer_noise_x, level.outer_noise_v], level.strip_window, factor)
+    single[numbers[0]] = _probability([level.noise_x, level.noise_v], level.strip_window, factor)
     hot = gids[channel_kinds(gids, STRIPS) >= 1 - level.hot_strips]
     hot_fires = np.full(len(hot), _probability(level.hot_strip_rate, level.strip_window, factor))
     strips = _core.simulation.background_strips(
-        compiled(detector), digis.events, clusters=clusters, innermost=numbers[0], most_strips=level.cluster_strips,
-        single=_probability([level.noise_x, level.noise_v], level.strip_window, factor).tolist(),
-        charge=(level.charge_low, level.charge_high), window=level.strip_window,
+        compiled(detector), digis.events, clusters=clusters, most_strips=level.cluster_strips,
+        single=single.ravel(), charge=(level.charge_low, level.charge_high),
+        noise_charge=(
+            level.charge_low if level.noise_low is None else level.noise_low,
+            level.charge_high if level.noise_high is None else level.noise_high,
+        ),
+        window=level.strip_window,
         hot=np.concatenate([hot, listed]), hot_fires=np.concatenate([hot_fires, np.ones(len(listed))]), seed=seed,
     )  # fmt: skip
     n = len(strips["event"])

@@ -3,6 +3,14 @@
 from cgemit.analysis.clusters import DeltaFractions, delta_displacements, delta_fractions
 from cgemit.analysis.cosmics import Cosmics, cosmics
 from cgemit.analysis.finding import Finding, FindingRates, LoopLinks, finding, loop_links
+from cgemit.analysis.hits import (
+    HitResiduals,
+    LayerEfficiencies,
+    ResidualTable,
+    hit_residuals,
+    layer_efficiencies,
+    strip_status,
+)
 from cgemit.analysis.resolutions import (
     Curve,
     Flatness,
@@ -19,6 +27,7 @@ from cgemit.analysis.resolutions import (
 )
 from cgemit.analysis.widths import Fraction, GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.detector.inventory import Background
+from cgemit.study.monitor import RunMonitor, monitor
 from cgemit.study.optimize.result import Confirmation, Optimization
 from cgemit.study.optimize.run import optimize
 from cgemit.study.optimize.search import Search
@@ -44,13 +53,17 @@ __all__ = [
     "FormFit",
     "Fraction",
     "GaussianFit",
+    "HitResiduals",
+    "LayerEfficiencies",
     "LoopLinks",
     "Optimization",
     "PlanError",
     "Pulls",
     "Reproduction",
+    "ResidualTable",
     "Resolution",
     "Resolutions",
+    "RunMonitor",
     "Scan",
     "Search",
     "Space",
@@ -64,9 +77,12 @@ __all__ = [
     "fit_form",
     "gaussian_fit",
     "grid",
+    "hit_residuals",
     "latin_hypercube",
+    "layer_efficiencies",
     "loop_links",
     "measure",
+    "monitor",
     "optimize",
     "pulls",
     "reproduce",
@@ -76,5 +92,6 @@ __all__ = [
     "scan",
     "scan_analytic",
     "sobol",
+    "strip_status",
     "sweep",
 ]

@@ -44,20 +44,19 @@ py::dict noisy_cells(const Detector& detector, const Array<std::int64_t>& events
 }
 
 py::dict noisy_strips(const Detector& detector, const Array<std::int64_t>& events,
-                      const Array<double>& clusters, std::size_t innermost, int most_strips,
-                      std::array<double, 2> single, std::array<double, 2> charge, double window,
+                      const Array<double>& clusters, int most_strips, const Array<double>& single,
+                      std::array<double, 2> charge, std::array<double, 2> noise_charge, double window,
                       const Array<std::int32_t>& hot, const Array<double>& hot_fires, std::uint64_t seed) {
   const auto event = column(events, "events");
-  if (innermost >= detector.layers.size()) throw std::invalid_argument("innermost: expected a layer");
-  const StripNoise noise{
-      .clusters = column(clusters, "clusters", static_cast<py::ssize_t>(detector.layers.size())),
-      .innermost = innermost,
-      .most_strips = most_strips,
-      .single = single,
-      .charge = charge,
-      .window = window,
-      .hot = hot_channels(hot, hot_fires, 0, strips_of(detector)),
-      .seed = seed};
+  const auto layers = static_cast<py::ssize_t>(detector.layers.size());
+  const StripNoise noise{.clusters = column(clusters, "clusters", layers),
+                         .most_strips = most_strips,
+                         .single = column(single, "single", 2 * layers),
+                         .charge = charge,
+                         .noise = noise_charge,
+                         .window = window,
+                         .hot = hot_channels(hot, hot_fires, 0, strips_of(detector)),
+                         .seed = seed};
   NoisyStrips found;
   {
     py::gil_scoped_release release;
@@ -86,9 +85,9 @@ void bind_background(py::module_& module) {
              py::arg("begins"), py::arg("lengths"), py::arg("window"), py::arg("hot"), py::arg("hot_fires"),
              py::arg("seed"), "Columns of wire hits that fire without a particle of the event.");
   module.def("background_strips", &noisy_strips, py::arg("detector"), py::arg("events"), py::kw_only(),
-             py::arg("clusters"), py::arg("innermost"), py::arg("most_strips"), py::arg("single"),
-             py::arg("charge"), py::arg("window"), py::arg("hot"), py::arg("hot_fires"), py::arg("seed"),
-             "Columns of digis that fire without a particle of the event.");
+             py::arg("clusters"), py::arg("most_strips"), py::arg("single"), py::arg("charge"),
+             py::arg("noise_charge"), py::arg("window"), py::arg("hot"), py::arg("hot_fires"),
+             py::arg("seed"), "Columns of digis that fire without a particle of the event.");
   module.def("by_channel", &channel_order, py::arg("event"), py::arg("gid"), py::arg("time"),
              "Rows in the order of event, channel and time, and where in it each channel begins.");
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ DEAD = {f"cgem.{one.label}.dead_x": [f"0:{strip}" for strip in range(5, one.stri
 DETECTOR = DESIGN.with_overrides(DEAD)
 PIONS = cg.Gun("pi-", p=(0.08, 0.5), cos_theta=(-0.4, 0.4))
 GUN = PIONS + cg.Gun("K+", p=(0.2, 0.5), cos_theta=(-0.8, 0.8))
-FOLDER = "a folder of another run"
+FOLDER, FACTORS = "a folder of another run", "a file of factors on errors"
 
 #: Tables of each stage; candidates and matches follow from the others.
 STAGE_TABLES = (
@@ -40,7 +41,7 @@ STAGE_TABLES = (
 SIMULATED = ("decays", "steps", "truths", "wire_truths")
 DIGIS, HITS, CLUSTERS, FOUND, FITTED = ("digis",), ("wire_hits",), ("clusters",), ("candidate_hits",), ("tracks",)
 BUSY, FITTED_START = {"background.cells": 0.15}, {"refine.start_time": "fitted"}
-WITHOUT_FIELD = {"field.bz": "0 T"}
+WITHOUT_FIELD, CHARGE = {"field.bz": "0 T"}, {"readout": "analog-projection"}
 
 
 class Case(NamedTuple):
@@ -74,6 +75,7 @@ CASES: dict[str, Case] = {
     "background.start_time": Case(3.0, HITS),
     "cluster.position": Case("charge", CLUSTERS),
     "cluster.bridge": Case(0, CLUSTERS),
+    "cluster.error_factors": Case(FACTORS, CLUSTERS, CHARGE),
     "cluster.reference_p": Case(0.3, CLUSTERS),
     "cluster.reference_cos_theta": Case(0.2, CLUSTERS),
     "find.method": Case("chamber", FOUND),
@@ -124,8 +126,9 @@ CASES: dict[str, Case] = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the folder of a run whose events are mixed in."""
+    """Return the folder of a run whose events are mixed in, beside a file of factors."""
     path = tmp_path_factory.mktemp("others") / "run"
+    (path.parent / "errors.csv").write_text("layer,view,size,hits,factor,err\n0,0,2,30,1.5,0.1\n")
     cg.run(DETECTOR, GUN, 5, 3, until="digitize", output=path)
     return str(path)
 
@@ -133,20 +136,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
 @cache
 def tables(changes: tuple[tuple[str, Any], ...], folder: str, until: Any) -> Mapping[str, Table]:
     """Return the tables of a run with some settings changed."""
-    overrides = {key: folder if value == FOLDER else value for key, value in changes}
-    field = {key: overrides.pop(key) for key in WITHOUT_FIELD if key in overrides}
+    files = {FOLDER: folder, FACTORS: str(Path(folder).parent / "errors.csv")}
+    overrides = {key: files.get(value, value) if isinstance(value, str) else value for key, value in changes}
+    field = {key: overrides.pop(key) for key in WITHOUT_FIELD | CHARGE if key in overrides}
     settings = cg.Settings().with_overrides(overrides)
     return dict(cg.run(detector_in(field), GUN, 10, 1, settings=settings, finder="ckf", until=until, workers=1).tables)
 
 
 def field_of(case: Case) -> dict[str, Any]:
-    """Return what of the field gives a setting its meaning."""
-    return {key: value for key, value in case.given.items() if key in WITHOUT_FIELD}
+    """Return what of the field and the readout gives a setting its meaning."""
+    return {key: value for key, value in case.given.items() if key in WITHOUT_FIELD | CHARGE}
 
 
 def detector_in(field: Mapping[str, Any]) -> cg.Detector:
-    """Return the detector with another field."""
-    return DETECTOR.with_overrides(field) if field else DETECTOR
+    """Return the detector with another field or readout."""
+    detector = DETECTOR.with_readout(field["readout"]) if "readout" in field else DETECTOR
+    field = {key: value for key, value in field.items() if key != "readout"}
+    return detector.with_overrides(field) if field else detector
 
 
 def hits_to_give(field: Mapping[str, Any], folder: str) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
@@ -297,7 +303,7 @@ def test_settings_reach_the_fit_of_given_hits(folder: str) -> None:
     }
     kinds = {"cluster": cg.ClusterSettings, "find": cg.FindSettings, "fit": cg.FitSettings, "refine": cg.RefineSettings}
     #: Clusters that are given by their strips have no charge, and are joined already.
-    no_effect = {"cluster.position", "cluster.bridge"}
+    no_effect = {"cluster.position", "cluster.bridge", "cluster.error_factors"}
     unseen = set()
     for key, case in CASES.items():
         stage, name = key.split(".")

@@ -15,6 +15,7 @@ from cgemit.detector.core import in_dead_area, layer_table, seam_strips, strip_l
 from cgemit.detector.drift import BESIII
 from cgemit.simulation.background import CELLS, STRIPS, add_background, channel_kinds, mix_events, read_out, start_times
 from cgemit.tables import Table
+from stats import assert_within
 
 MUON = cg.Gun("mu-", p=1.0, cos_theta=(-0.5, 0.5))
 
@@ -153,6 +154,35 @@ def test_clusters_and_noise_of_strips_have_their_rates(run):
         assert strips == pytest.approx(3.5 * clusters, rel=0.07), number  # 4 standard deviations
 
 
+def test_noise_of_run_91668_has_the_rates_of_its_file(run):
+    """Single strips of each view and layer, hot ones, charges of noise that are negative, clusters that fall with r."""
+    n = 2000
+    level = {one.label: one for one in run.detector.background}["run91668"]
+    quiet = {"background.run91668.cluster_rate": "0 kHz/cm2", "background.run91668.hot_strips": 0.0}
+    alone = add_background(
+        run.detector.with_overrides(quiet), *empty(run, n), cg.BackgroundSettings(level="run91668"), seed=1
+    )["digis"]
+    for number, layer in enumerate(run.detector.cgem):
+        rates = (level.noise_x, level.noise_v) if number == 0 else (level.outer_noise_x, level.outer_noise_v)
+        for view, (rate, strips) in enumerate(zip(rates, (layer.strips_x, layer.strips_v), strict=True)):
+            fired = np.count_nonzero((alone["layer"] == number) & (alone["view"] == view))
+            expected = layer.sheets * strips * rate * 990e-6 * n
+            assert abs(fired - expected) < 4 * np.sqrt(expected), (number, view)
+    assert_within(alone["charge"].mean(), 3.75, 12.5 / np.sqrt(12 * len(alone)), 4.0)
+    assert alone["charge"].min() < -2.4
+    assert alone["charge"].max() < 10
+    noisy = add_background(run.detector, *empty(run, n), cg.BackgroundSettings(level="run91668"), seed=1)["digis"]
+    hot = np.bincount(noisy["gid"])
+    hot = np.flatnonzero(hot > 0.2 * n)  # 0.0005 of 9897 strips
+    assert 1 <= len(hot) <= 12
+    assert_within(np.isin(noisy["gid"], hot).sum() / n / len(hot), 1 - np.exp(-0.495), 0.5 / np.sqrt(n * len(hot)), 4.0)
+    x = (noisy["view"] == 0) & (noisy["charge"] > 10)  # no noise; 8/9 of the strips of clusters
+    for number, layer in enumerate(run.detector.cgem):
+        area = 2 * np.pi * layer.r_readout * 2 * layer.half_length / 100
+        expected = 0.48 * (layer.r_readout / 90) ** -3.8 * area * 990e-6 * 5 * (40 / 45)
+        assert np.count_nonzero(x & (noisy["layer"] == number)) / n == pytest.approx(expected, rel=0.12), number
+
+
 def test_events_do_not_depend_on_each_other(run):
     settings = cg.BackgroundSettings(level="bes2026")
     whole = add_background(run.detector, *empty(run, 10), settings, seed=1)
@@ -216,9 +246,9 @@ def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
     layers = run.detector.cgem
     n, mean, none = 20_000, 0.05, np.empty(0, np.int32)
     how = {
-        "innermost": 0,
-        "single": [0.0, 0.0],
+        "single": np.zeros(6),
         "charge": [10.0, 50.0],
+        "noise_charge": [10.0, 50.0],
         "window": 1000.0,
         "hot": none,
         "hot_fires": np.empty(0),
@@ -241,9 +271,9 @@ def test_the_number_of_clusters_is_poisson_and_sizes_are_uniform(run):
     assert gate(sizes) < 5 + 4 * np.sqrt(10) + 6
     assert gate(np.append(sizes[:5] + sizes[5] / 5, 0)) > 5 + 4 * np.sqrt(10) + 6
     assert abs(strips["charge"].mean() - 30) < 4 * 40 / np.sqrt(12 * len(strips["charge"]))
-    with pytest.raises(ValueError, match="innermost: expected a layer"):
+    with pytest.raises(ValueError, match="single"):
         _core.simulation.background_strips(
-            compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how | {"innermost": 3}
+            compiled(run.detector), [0], clusters=[0, 0, 0], most_strips=1, seed=2, **how | {"single": np.zeros(2)}
         )
     how |= {"hot": np.array([-1], np.int32), "hot_fires": np.ones(1)}
     with pytest.raises(ValueError, match="hot: channel -1"):
@@ -288,7 +318,7 @@ def test_rates_that_cannot_be_are_refused():
 
 def test_levels_are_part_of_the_detector_file(run):
     detector = run.detector
-    assert [level.label for level in detector.background] == ["bes2009", "bes2026"]
+    assert [level.label for level in detector.background] == ["bes2009", "bes2026", "run91668"]
     assert cg.load(parse_toml(detector.to_toml())) == detector
     double = detector.with_overrides(
         {"background.bes2009.cluster_rate": "x2", "background.bes2009.strip_window": "1 us"}
@@ -310,7 +340,7 @@ def test_levels_are_part_of_the_detector_file(run):
 def test_a_detector_without_the_level_says_so():
     for detector, level, text in (
         ("stcf-like", "bes2009", r"expected one of off; stcf-like has no table \[background.bes2009\]"),
-        ("besiii-cgem", "bes209", 'expected one of off, bes2009, bes2026; did you mean "bes2009"'),
+        ("besiii-cgem", "bes209", 'expected one of off, bes2009, bes2026, run91668; did you mean "bes2009"'),
     ):
         settings = cg.Settings(background=cg.BackgroundSettings(level=level))
         with pytest.raises(ValueError, match=text):
@@ -380,13 +410,15 @@ def test_the_factor_multiplies_every_rate(run):
     tables = parse_toml(run.detector.to_toml())
     level = tables["background"]["bes2026"] | {"hot_wires": 0.01, "hot_strips": 0.01}
     level |= {"hot_wire_rate": "100 kHz", "hot_strip_rate": "20 kHz", "noise_x": "2 kHz"}
+    level |= {"outer_noise_x": "1 kHz", "outer_noise_v": "1 kHz"}
 
     def doubled(quantity):
         number, unit = quantity.split(" ", 1)
         return f"{2 * float(number)!r} {unit}"
 
     rates = {name: doubled(value) for name, value in level.items() if str(value).endswith(("kHz", "kHz/cm2"))}
-    assert rates.keys() == {"hot_wire_rate", "hot_strip_rate", "cluster_rate", "noise_x", "noise_v"}
+    noise = {"noise_x", "noise_v", "outer_noise_x", "outer_noise_v"}
+    assert rates.keys() == {"hot_wire_rate", "hot_strip_rate", "cluster_rate", *noise}
     rates["wire_rate"] = [point | {"rate": doubled(point["rate"])} for point in level["wire_rate"]]
 
     def found(changes, factor):

@@ -94,6 +94,11 @@ class CgemLayer(Layer):
     lorentz_shift: float | None = field(
         metadata=key("length", "shift in X of electrons from mid-gap to the anode", -50.0, 50.0), default=None
     )
+    # None: from gas and fields.
+    lorentz_angle: float | None = field(
+        metadata=key("angle", "angle of the electrons in the drift gap, without sign", 0.0, 1.4, quiet=True),
+        default=None,
+    )
     foils: int = field(metadata=key("integer", "number of GEM foils", 1, 5), default=3)
     # Standard GEM foils: F. Sauli, Nucl. Instrum. Methods A 805 (2016) 2.
     hole_outer: float = field(metadata=key("length", "diameter of holes, in electrodes", 1e-3, 5.0), default=0.07)  # mm

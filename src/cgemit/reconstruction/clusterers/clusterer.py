@@ -30,6 +30,8 @@ class ClusterSettings(SettingsData):
         ``"centre"``: geometric centre of the fired strips. ``"charge"``: mean of the strip centres weighted by charge.
     bridge : int
         Dead and hot strips in a row that a cluster may bridge.
+    error_factors : str
+        File of factors on the errors of clusters with charge, as `ErrorFactors.save` writes it; empty: none.
     reference_p : float
         GeV/c, momentum of the reference sample for the errors of clusters.
     reference_cos_theta : float
@@ -50,6 +52,7 @@ class ClusterSettings(SettingsData):
 
     position: Position = "centre"
     bridge: Bridge = 1
+    error_factors: str = ""
     reference_p: Momentum = 1.0
     reference_cos_theta: Fraction = 0.93
 

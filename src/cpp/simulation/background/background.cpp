@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <tuple>
 
 #include "detector/strip_plane.hpp"
@@ -105,21 +106,23 @@ void add_clusters(const Detector& detector, std::size_t index, const Stream& str
 }
 
 // Single strips of a layer.
-void add_single(const MeasuringLayer& layer, const Stream& stream, const StripNoise& noise,
+void add_single(const Detector& detector, std::size_t index, const Stream& stream, const StripNoise& noise,
                 std::vector<std::int32_t>& fired) {
+  const MeasuringLayer& layer = detector.layers[index];
   for (int sheet = 0; sheet < layer.sheets; ++sheet) {
     for (int view = 0; view < 2; ++view) {
       const int first = gid_of(layer, sheet, view, 0);
       Draws draws(stream, Purpose::background_noise, static_cast<std::uint32_t>(first));
       each_fired(draws, view == 0 ? layer.strips_x : layer.strips_v,
-                 noise.single[static_cast<std::size_t>(view)],
+                 noise.single[2 * index + static_cast<std::size_t>(view)],
                  [&](int strip) { fired.push_back(first + strip); });
     }
   }
 }
 
+// `charge`: its range.
 void add_strip(const Detector& detector, std::int32_t gid, std::int64_t event, const Stream& stream,
-               const StripNoise& noise, NoisyStrips& out) {
+               const std::array<double, 2>& charge, double window, NoisyStrips& out) {
   const auto layer = std::prev(std::upper_bound(
       detector.layers.begin(), detector.layers.end(), gid,
       [](std::int32_t number, const MeasuringLayer& one) { return number < one.gid_first; }));
@@ -133,8 +136,13 @@ void add_strip(const Detector& detector, std::int32_t gid, std::int64_t event, c
   out.view.push_back(is_v ? 1 : 0);
   out.strip.push_back(is_v ? in_sheet - layer->strips_x : in_sheet);
   out.gid.push_back(gid);
-  out.charge.push_back(noise.charge[0] + (noise.charge[1] - noise.charge[0]) * open_unit(words[0]));
-  out.time.push_back(noise.window * open_unit(words[1]));
+  out.charge.push_back(charge[0] + (charge[1] - charge[0]) * open_unit(words[0]));
+  out.time.push_back(window * open_unit(words[1]));
+}
+
+void sort_once(std::vector<std::int32_t>& gids) {
+  std::sort(gids.begin(), gids.end());
+  gids.erase(std::unique(gids.begin(), gids.end()), gids.end());
 }
 
 }  // namespace
@@ -155,20 +163,28 @@ NoisyCells background_cells(const Detector& detector, std::span<const std::int64
 NoisyStrips background_strips(const Detector& detector, std::span<const std::int64_t> events,
                               const StripNoise& noise) {
   NoisyStrips out;
-  std::vector<std::int32_t> fired;
+  std::vector<std::int32_t> in_clusters, alone, fired;
   for (const std::int64_t event : events) {
     const Stream stream = stream_of(noise.seed, event);
-    fired.clear();
-    for (std::size_t i = 0; i < detector.layers.size(); ++i) add_clusters(detector, i, stream, noise, fired);
-    add_single(detector.layers[noise.innermost], stream, noise, fired);
+    in_clusters.clear();
+    alone.clear();
+    for (std::size_t i = 0; i < detector.layers.size(); ++i) {
+      add_clusters(detector, i, stream, noise, in_clusters);
+      add_single(detector, i, stream, noise, alone);
+    }
     for (std::size_t i = 0; i < noise.hot.gid.size(); ++i) {
       const auto place = static_cast<std::uint32_t>(noise.hot.gid[i]);
       const Block words = stream.block(Purpose::background_strip, place);
-      if (open_unit(words[2]) < noise.hot.fires[i]) fired.push_back(noise.hot.gid[i]);
+      if (open_unit(words[2]) < noise.hot.fires[i]) alone.push_back(noise.hot.gid[i]);
     }
-    std::sort(fired.begin(), fired.end());
-    fired.erase(std::unique(fired.begin(), fired.end()), fired.end());
-    for (const std::int32_t gid : fired) add_strip(detector, gid, event, stream, noise, out);
+    sort_once(in_clusters);
+    sort_once(alone);
+    fired.clear();
+    std::ranges::set_union(in_clusters, alone, std::back_inserter(fired));
+    for (const std::int32_t gid : fired) {
+      const bool is_noise = !std::ranges::binary_search(in_clusters, gid);
+      add_strip(detector, gid, event, stream, is_noise ? noise.noise : noise.charge, noise.window, out);
+    }
   }
   return out;
 }

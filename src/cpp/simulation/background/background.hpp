@@ -45,10 +45,10 @@ NoisyCells background_cells(const Detector& detector, std::span<const std::int64
 
 struct StripNoise {
   std::span<const double> clusters;  // for each layer: mean number in the window, 0 without strips
-  std::size_t innermost;             // the layer with single strips
   int most_strips;                   // of a cluster in each view; from 1, as probable as each other
-  std::array<double, 2> single;      // probability that an X and a V strip of `innermost` fires
-  std::array<double, 2> charge;      // fC; uniform from the first to the second
+  std::span<const double> single;    // probability that an X, then a V strip of each layer fires alone
+  std::array<double, 2> charge;      // fC, of strips of clusters; uniform from the first to the second
+  std::array<double, 2> noise;       // fC, of single and hot strips
   double window;                     // ns; times are uniform in it
   HotChannels hot;
   std::uint64_t seed;

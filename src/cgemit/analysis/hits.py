@@ -1,0 +1,508 @@
+"""Residuals and efficiencies of hits on tracks, measured or simulated, without truth (docs/how-to/monitor.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cgemit.analysis.widths import share_error
+from cgemit.base.arrays import Flags, Floats
+from cgemit.chain.result import Result
+from cgemit.chain.settings import fit_settings
+from cgemit.detector import Detector
+from cgemit.detector.core import layer_table
+from cgemit.detector.layers.layer import local_v, seen_by
+from cgemit.detector.parts import cgem_numbers
+from cgemit.helix import wrap_angle
+from cgemit.reconstruction.fit import fit
+from cgemit.reconstruction.states import extrapolate
+from cgemit.tables import Table
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, is_fitted
+from cgemit.tables.show import Shown, Tabular, with_error
+
+#: Names of the views of hits.
+VIEWS = ("X", "V", "wire")
+#: Largest residual, in its errors, of hits that count for means and widths; hits of something else lie beyond.
+LARGEST_PULL = 5.0
+#: Hits that a mean or a width needs.
+LEAST = 2
+#: Distance from the predicted position within which a layer has seen a track, mm in X and V, and the part of a layer
+#: beside edges of sheets and at its ends that does not count, mm.
+NEAR, BORDER = 5.0, 5.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HitResiduals(Shown, Tabular):
+    """Residuals of hits from the tracks fitted without them, one row for each hit of a fitted track.
+
+    Attributes
+    ----------
+    event, track : ndarray, (n,) int64
+        Number of the event, and row of ``tracks``.
+    view : ndarray, (n,) int8
+        0 X, 1 V, 2 wire.
+    layer, sheet : ndarray, (n,) int64
+        Sheet is 0 for wires.
+    hit : ndarray, (n,) int64
+        Row of ``clusters`` or ``wire_hits``.
+    residual, err, own : ndarray, (n,) float64, mm
+        Measured minus predicted, its standard deviation, and the standard deviation of the hit alone.
+    used : ndarray, (n,) bool
+        Whether the fit used the hit.
+    size : ndarray, (n,) int64
+        Strips of a cluster; 1 for wires.
+    charge : ndarray, (n,) float64, fC
+        NaN for wires.
+    time : ndarray, (n,) float64, ns
+        Of the cluster, or drift time.
+    phi, z : ndarray, (n,) float64, rad, mm
+        Of the track at the hit.
+    incidence : ndarray, (n,) float64, rad
+        Angle of the track to the radius.
+    p : ndarray, (n,) float64, GeV/c
+        Momentum of the track there.
+    """
+
+    event: npt.NDArray[np.int64]
+    track: npt.NDArray[np.int64]
+    view: npt.NDArray[np.int8]
+    layer: npt.NDArray[np.int64]
+    sheet: npt.NDArray[np.int64]
+    hit: npt.NDArray[np.int64]
+    residual: Floats
+    err: Floats
+    own: Floats
+    used: Flags
+    size: npt.NDArray[np.int64]
+    charge: Floats
+    time: Floats
+    phi: Floats
+    z: Floats
+    incidence: Floats
+    p: Floats
+
+    def __len__(self) -> int:
+        return len(self.event)
+
+    @property
+    def pull(self) -> Floats:
+        """Residual over its error, (n,) float64."""
+        return self.residual / self.err
+
+    @property
+    def counts(self) -> Flags:
+        """Which hits count for means and widths: those within five errors, (n,) bool."""
+        return np.abs(self.pull) < LARGEST_PULL
+
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return the rows as columns."""
+        return {**{name: one.tolist() for name, one in vars(self).items()}, "pull": self.pull.tolist()}
+
+    def select(self, rows: npt.NDArray[Any]) -> HitResiduals:
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        rows : ndarray
+            A mask, or numbers of rows.
+        """
+        return HitResiduals(**{name: one[rows] for name, one in vars(self).items()})
+
+    def binned(self, by: str, edges: npt.ArrayLike | None = None) -> ResidualTable:
+        """Return means and widths by view and by a column.
+
+        Parameters
+        ----------
+        by : str
+            A column, such as ``"layer"``, ``"sheet"``, ``"size"``, ``"charge"``, ``"time"``, ``"incidence"``,
+            ``"phi"`` or ``"z"``.
+        edges : array_like, (m,) float64, or None
+            Edges of the bins; a value beyond them does not count. None: whole numbers have a bin each, other columns
+            eight bins with equal numbers of hits of a view.
+
+        Raises
+        ------
+        ValueError
+            If there is no such column, or the edges do not grow.
+        """
+        if by not in vars(self) or by == "view":
+            known = ", ".join(name for name in vars(self) if name != "view")
+            raise ValueError(f"binned: by: got {by!r}, expected one of {known}")
+        values = vars(self)[by].astype(np.float64)
+        given = None if edges is None else np.asarray(edges, np.float64)
+        if given is not None and (given.ndim != 1 or len(given) < 2 or not (np.diff(given) > 0).all()):
+            raise ValueError(f"binned: edges: got {edges!r:.60}, expected two or more numbers that grow")
+        whole = vars(self)[by].dtype.kind in "iu"
+        rows: dict[str, list[float]] = {name: [] for name in _RESIDUALS}
+        for view in np.unique(self.view).tolist():
+            mine = (self.view == view) & np.isfinite(values)
+            own = given if given is not None else _edges(values[mine & self.counts], whole)
+            for low, high in pairwise(own.tolist()):
+                last = high == own[-1]
+                inside = mine & (values >= low) & ((values <= high) if last and not whole else (values < high))
+                if inside.any():
+                    _append(rows, float(view), low, high, self.select(inside))
+        return ResidualTable(by, **{name: np.array(column, np.float64) for name, column in rows.items()})
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        return self.binned("layer")._table()
+
+
+_RESIDUALS = ("view", "low", "high", "n", "far", "mean", "err_mean", "rms", "err_rms", "pull", "err_pull")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ResidualTable(Shown, Tabular):
+    """Means and widths of residuals in bins, one row for each.
+
+    Attributes
+    ----------
+    by : str
+        The column of the bins.
+    view, low, high : ndarray, (n,) float64
+        View (0 X, 1 V, 2 wire) and edges of the bin.
+    n, far : ndarray, (n,) float64
+        Hits, and those of them more than five errors away, which count for nothing else.
+    mean, err_mean, rms, err_rms : ndarray, (n,) float64, mm
+        NaN with fewer than two hits.
+    pull, err_pull : ndarray, (n,) float64
+        RMS of residual over error.
+    """
+
+    by: str
+    view: Floats
+    low: Floats
+    high: Floats
+    n: Floats
+    far: Floats
+    mean: Floats
+    err_mean: Floats
+    rms: Floats
+    err_rms: Floats
+    pull: Floats
+    err_pull: Floats
+
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return the rows as columns."""
+        return {name: getattr(self, name).tolist() for name in _RESIDUALS}
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        head = ("view", self.by, "hits", "far", "mean (um)", "RMS (um)", "pull")
+        rows = [
+            [
+                VIEWS[int(self.view[i])],
+                f"{self.low[i]:g}" if self.high[i] == self.low[i] + 1 else f"{self.low[i]:.3g} to {self.high[i]:.3g}",
+                f"{self.n[i]:.0f}", f"{self.far[i]:.0f}", with_error(1e3 * self.mean[i], 1e3 * self.err_mean[i]),
+                with_error(1e3 * self.rms[i], 1e3 * self.err_rms[i]), with_error(self.pull[i], self.err_pull[i]),
+            ]
+            for i in range(len(self.n))
+        ]  # fmt: skip
+        return "residuals from tracks fitted without the hit", head, rows
+
+
+def _edges(values: Floats, whole: bool) -> Floats:
+    """Return the edges of the bins of some values."""
+    if not len(values):
+        return np.zeros(0)
+    if whole:
+        return np.arange(values.min(), values.max() + 2)
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, 9)))
+    return edges if len(edges) > 1 else np.array([edges[0] - 0.5, edges[0] + 0.5])
+
+
+def _append(rows: dict[str, list[float]], view: float, low: float, high: float, of: HitResiduals) -> None:
+    near = of.select(of.counts)
+    n = len(near)
+    known = n >= LEAST
+    mean = float(near.residual.mean()) if known else np.nan
+    rms = float(near.residual.std(ddof=1)) if known else np.nan
+    pull = float(np.sqrt(np.mean(near.pull**2))) if known else np.nan
+    half = np.sqrt(2 * max(n - 1, 1))
+    values = (view, low, high, len(of), len(of) - n, mean, rms / np.sqrt(max(n, 1)), rms, rms / half, pull, pull / half)
+    for name, value in zip(_RESIDUALS, values, strict=True):
+        rows[name].append(float(value))
+
+
+def hit_residuals(result: Result) -> HitResiduals:
+    """Return the residuals of all hits of the fitted tracks, each from the track fitted without it.
+
+    Tracks are fitted again from their hits as the last fit took them. Only tracks with a measured momentum count.
+
+    Parameters
+    ----------
+    result : Result
+        Of `run` or of `cgemit.bes3.reconstruct.reconstruct_events`.
+
+    Raises
+    ------
+    ValueError
+        If the result has no tracks.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
+    >>> found = cg.study.hit_residuals(r)
+    >>> table = found.binned("layer", edges=[0, 1, 2, 3])
+    >>> table.view[:3].tolist(), bool((table.pull < 2).all())
+    ([0.0, 0.0, 0.0], True)
+    """
+    if not {"tracks", "candidate_hits"} <= result.tables.keys():
+        raise ValueError("hit_residuals: got a result without tracks and their hits, expected one of a fit")
+    clusters, wires = result.fitted_hits
+    return residuals_of(result, clusters, wires)
+
+
+def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
+    """Return the same of other hits, row by row those of the result, such as with other errors.
+
+    Parameters
+    ----------
+    result : Result
+    clusters, wires : Table
+    """
+    settings = fit_settings(result.settings)
+    masses = settings.hypotheses()
+    how = replace(
+        settings, residuals=True, states=("hits",), components=False, beam=None,
+        hypothesis=settings.hypothesis if len(masses) == 1 else "pi",
+    )  # fmt: skip
+    made = fit.unchecked(result.detector, clusters, wires, result.candidates, result.candidate_hits, how)
+    of, states = made["residuals"], made["states"]
+    good = is_fitted(made["tracks"])[of["track"]] & (of["err"] > 0)
+    of = of[good]
+    view, hit = of["view"], of["hit"].astype(np.int64)
+    is_wire = view == HIT_WIRE
+    at = _state_rows(of, states)
+
+    def joined(of_cluster: str, of_wire: str | None, none: float) -> npt.NDArray[Any]:
+        found = np.full(len(of), none)
+        found[~is_wire] = clusters[of_cluster][hit[~is_wire]]
+        if of_wire is not None:
+            found[is_wire] = wires[of_wire][hit[is_wire]]
+        return found
+
+    x, y, z, px, py, pz = (states[name][at] for name in ("x", "y", "z", "px", "py", "pz"))
+    p = np.sqrt(px**2 + py**2 + pz**2)
+    outward = np.abs(x * px + y * py) / (np.hypot(x, y) * p)
+    layer = np.where(is_wire, joined("layer", "layer", 0), joined("layer", None, 0)).astype(np.int64)
+    own = np.where(view == 0, joined("err_x", "sigma", np.nan), joined("err_v", "sigma", np.nan))
+    return HitResiduals(
+        event=of["event"].astype(np.int64), track=of["track"].astype(np.int64), view=view.astype(np.int8),
+        layer=layer, sheet=joined("sheet", None, 0).astype(np.int64), hit=hit,
+        residual=of["residual"], err=of["err"], own=own, used=of["used"] == 1,
+        size=joined("size", None, 1).astype(np.int64), charge=joined("charge", None, np.nan),
+        time=joined("time", "drift_time", np.nan), phi=np.arctan2(y, x), z=z,
+        incidence=np.arccos(np.clip(outward, 0, 1)), p=p,
+    )  # fmt: skip
+
+
+def _state_rows(of: Table, states: Table) -> npt.NDArray[np.int64]:
+    """Return the row of the state at each residual's hit."""
+    names = ("track", "view", "hit")
+    rows = {key: i for i, key in enumerate(zip(*(states[name].tolist() for name in names), strict=True))}
+    return np.array([rows[key] for key in zip(*(of[name].tolist() for name in names), strict=True)], np.int64)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LayerEfficiencies(Shown, Tabular):
+    """Shares of tracks that layers have seen, one row for each region of each layer.
+
+    Attributes
+    ----------
+    label : list of str
+        Of the layer.
+    region : list of str
+        ``"all"``, a sheet, or ``"-z"`` and ``"+z"``.
+    tracks : ndarray, (n,) int64
+        Tracks that cross the region away from its borders.
+    x, v, both : ndarray, (n,) float64
+        Shares with an X cluster, a V cluster and both near the track; NaN without tracks.
+    err_x, err_v, err_both : ndarray, (n,) float64
+        Half of the 68 % interval of Wilson.
+    """
+
+    label: list[str]
+    region: list[str]
+    tracks: npt.NDArray[np.int64]
+    x: Floats
+    err_x: Floats
+    v: Floats
+    err_v: Floats
+    both: Floats
+    err_both: Floats
+
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return the rows as columns."""
+        return {name: list(column) for name, column in vars(self).items()}
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        shares = ("x", "v", "both")
+        rows = [
+            [
+                self.label[i], self.region[i], f"{self.tracks[i]}",
+                *(with_error(100 * getattr(self, name)[i], 100 * getattr(self, f"err_{name}")[i]) for name in shares),
+            ]
+            for i in range(len(self.label))
+        ]  # fmt: skip
+        return "efficiency of layers", ("layer", "region", "tracks", "X (%)", "V (%)", "X and V (%)"), rows
+
+
+def layer_efficiencies(result: Result, near: float = NEAR) -> LayerEfficiencies:
+    """Count how many tracks have clusters in each CGEM layer, from tracks fitted without the layer's hits.
+
+    A track counts with its own hits of other layers, and cluster of any kind near it: whether the finder took the
+    cluster plays no role. Tracks that cross within 5 mm of a border of a sheet, or of an end of the layer, do not
+    count, and tracks whose prediction has an error above a third of `near` do not either.
+
+    Parameters
+    ----------
+    result : Result
+    near : float
+        mm, largest distance in X and in V.
+
+    Raises
+    ------
+    ValueError
+        If the result has no tracks, or `near` is not positive.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
+    >>> found = cg.study.layer_efficiencies(r)
+    >>> found.label[0], found.region[0], bool(found.both[0] > 0.9)
+    ('L1', 'all', True)
+    """
+    if not {"tracks", "candidate_hits"} <= result.tables.keys():
+        raise ValueError("layer_efficiencies: got a result without tracks and their hits, expected one of a fit")
+    if not near > 0:
+        raise ValueError(f"layer_efficiencies: near: got {near}, expected a positive distance in mm")
+    rows: list[tuple[str, str, Flags, Flags]] = []
+    for number in cgem_numbers(result.detector):
+        layer = result.detector.layers[number]
+        sheet, z, has_x, has_v = _seen(result, number, near)
+        regions = {"all": np.ones(len(z), np.bool_)}
+        if layer.sheets > 1:
+            regions |= {f"sheet {i}": sheet == i for i in range(layer.sheets)}
+        regions |= {"-z": z < 0, "+z": z >= 0}
+        rows += [(layer.label, name, has_x[mine], has_v[mine]) for name, mine in regions.items()]
+    columns: dict[str, list[float]] = {name: [] for name in ("x", "err_x", "v", "err_v", "both", "err_both")}
+    for _, _, has_x, has_v in rows:
+        n = len(has_x)
+        for name, seen in (("x", has_x), ("v", has_v), ("both", has_x & has_v)):
+            share = float(seen.mean()) if n else np.nan
+            columns[name].append(share)
+            columns[f"err_{name}"].append(share_error(share, n))
+    return LayerEfficiencies(
+        [row[0] for row in rows], [row[1] for row in rows], np.array([len(row[2]) for row in rows], np.int64),
+        **{name: np.array(column, np.float64) for name, column in columns.items()},
+    )  # fmt: skip
+
+
+def _seen(result: Result, number: int, near: float) -> tuple[npt.NDArray[np.int64], Floats, Flags, Flags]:
+    """Return sheet, z and whether X and V are near, of the tracks that cross a layer away from its borders."""
+    detector, layer = result.detector, result.detector.layers[number]
+    clusters, wires = result.fitted_hits
+    hits = result.candidate_hits
+    here = (hits["view"] != HIT_WIRE) & (_layers_of(hits, clusters) == number)
+    settings = fit_settings(result.settings)
+    settings = replace(
+        settings, components=False, beam=None,
+        hypothesis=settings.hypothesis if len(settings.hypotheses()) == 1 else "pi",
+    )  # fmt: skip
+    made = fit.unchecked(detector, clusters, wires, result.candidates, hits[~here], settings)
+    tracks = made["tracks"]
+    tracks = tracks[is_fitted(tracks)]
+    states = extrapolate(detector, tracks, layer.r_mid)
+    states = states[states["status"] == 0]
+    at, along = (np.stack([states[name] for name in names], axis=1) for names in (("x", "y", "z"), ("px", "py", "pz")))
+    x, y, z = seen_by(layer, at, along).T
+    phi = np.arctan2(y, x)
+    sheet = layer.sheet_at(phi)
+    width = layer.r_readout * 2 * np.pi / layer.sheets
+    on_sheet = layer.r_readout * np.remainder(phi - np.asarray(layer.sheet_phi)[sheet], 2 * np.pi)
+    low, high = layer.ends
+    err = np.sqrt(np.maximum(states["cov"][:, 0, 0], states["cov"][:, 3, 3] * np.sin(layer.stereo) ** 2))
+    fine = (on_sheet > BORDER) & (on_sheet < width - BORDER) & (z > low + BORDER) & (z < high - BORDER)
+    fine &= err < near / 3
+    mine = clusters[clusters["layer"] == number]
+    v = local_v(layer, on_sheet, z)
+    has_x, has_v = np.zeros(len(z), np.bool_), np.zeros(len(z), np.bool_)
+    for i in np.flatnonzero(fine).tolist():
+        own = mine[mine["event"] == states["event"][i]]
+        xs, vs = own[own["view"] == HIT_X], own[own["view"] == HIT_V]
+        has_x[i] = (np.abs(layer.r_readout * wrap_angle(xs["phi"] - phi[i])) < near).any()
+        has_v[i] = ((np.abs(vs["v"] - v[i]) < near) & (vs["sheet"] == sheet[i])).any()
+    return sheet[fine], z[fine], has_x[fine], has_v[fine]
+
+
+def _layers_of(hits: Table, clusters: Table) -> npt.NDArray[np.int64]:
+    """Return the layers of the clusters of candidates, -1 for wires."""
+    found = np.full(len(hits), -1, np.int64)
+    of_cluster = hits["view"] != HIT_WIRE
+    found[of_cluster] = clusters["layer"][hits["row"][of_cluster]]
+    return found
+
+
+def strip_status(detector: Detector, digis: Table) -> npt.NDArray[np.int8]:
+    """Return a mask of hot and dead strips of CGEM layers, from how often each fires.
+
+    A strip is hot if it fires in more events than five standard deviations above the median of its view and layer,
+    and dead if it never fires where, at the mean of its neighbours, none of a million strips would do so by chance.
+    Few events show neither.
+
+    Parameters
+    ----------
+    detector : Detector
+    digis : Table
+        Of kind ``digis``.
+
+    Returns
+    -------
+    ndarray, (strips,) int8
+        By `gid`: 1 hot, -1 dead, 0 neither.
+
+    Examples
+    --------
+    >>> muons = cg.Gun("mu-", p=1.0, cos_theta=0.3)
+    >>> r = cg.run("besiii-cgem", muons, n=5, until="digitize")
+    >>> int(np.count_nonzero(cg.study.strip_status(r.detector, r.digis)))
+    0
+    """
+    table = layer_table(detector.layers)
+    strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.layers]
+    first = table["gid_first"]
+    total = int(first[-1] + strips[-1]) if len(first) else 0
+    has_strip = digis["gid"] >= 0
+    pairs = np.unique(np.stack([digis["event"][has_strip], digis["gid"][has_strip]]), axis=1)
+    fires = np.bincount(pairs[1], minlength=total)
+    status = np.zeros(total, np.int8)
+    for number in cgem_numbers(detector):
+        layer = detector.layers[number]
+        for sheet in range(layer.sheets):
+            begin = int(first[number]) + sheet * (layer.strips_x + layer.strips_v)
+            for mine in (
+                slice(begin, begin + layer.strips_x),
+                slice(begin + layer.strips_x, begin + layer.strips_x + layer.strips_v),
+            ):
+                status[mine] = _status(fires[mine])
+    return status
+
+
+#: Standard deviations above which a strip is hot, probability of a dead one by chance, and strips on either side that
+#: tell how often one should fire.
+_HOT, _CHANCE, _BESIDE = 5.0, 1e-6, 15
+
+
+def _status(fires: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
+    """Return hot and dead strips of one view of one sheet."""
+    padded = np.pad(fires.astype(np.float64), _BESIDE, mode="reflect" if len(fires) > _BESIDE else "edge")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _BESIDE + 1), axis=1)
+    found = np.zeros(len(fires), np.int8)
+    found[fires > around + _HOT * np.sqrt(around + 1)] = 1
+    found[(fires == 0) & (around > -np.log(_CHANCE))] = -1
+    return found
