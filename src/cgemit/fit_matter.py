@@ -92,7 +92,7 @@ def _tuned(
             # With this matter the muon scatters less than with all of it.
             terms = _muon_terms(core, detector.layers) if momentum_error is None else None
         if terms is not None:
-            heavy, light = _momentum_errors(terms, core.n_slabs)
+            heavy, light = _momentum_errors(terms.budget, core.n_slabs)
     core = core.with_loss(loss=choice, radiation=radiation, momentum_error=heavy, light_error=light)
     return _Tuned(core, heavy, light)
 
@@ -164,11 +164,19 @@ def unseen_cut(
     return _core.matter.CORE_CUT_XI * xi / p + _core.matter.CORE_CUT_SHARE / MOST_MOMENTUM_ERROR * error
 
 
-def _with_shared_matter(core: _core.detector.Detector, terms: Floats) -> _core.detector.Detector:
+class _Terms(NamedTuple):
+    """Parts of the variances of a muon, (terms, 5 parameters), and its tanl."""
+
+    budget: Floats
+    tanl: float
+
+
+def _with_shared_matter(core: _core.detector.Detector, terms: _Terms) -> _core.detector.Detector:
     """Return a detector in which every slab knows which matter acts with it, and how much of its loss is unseen."""
-    first = _first_slab(terms, core.n_slabs)
-    core = core.with_shared_scattering(parts=terms[first:-1:2], variances=terms.sum(axis=0))
-    return core.with_shared_loss(terms[first + 1 : -1 : 2, _KAPPA], p=_MOMENTUM, mass=_MUON)
+    budget = terms.budget
+    first = _first_slab(budget, core.n_slabs)
+    core = core.with_shared_scattering(parts=budget[first:-1:2], variances=budget.sum(axis=0))
+    return core.with_shared_loss(budget[first + 1 : -1 : 2, _KAPPA], p=_MOMENTUM, mass=_MUON, tanl=terms.tanl)
 
 
 def _momentum_errors(terms: Floats, n_slabs: int) -> tuple[float, tuple[float, float]]:
@@ -195,22 +203,28 @@ def _first_slab(terms: Floats, n_slabs: int) -> int:
 
 def _muon_terms(
     core: _core.detector.Detector, layers: Sequence[Layer], hits_of: _core.detector.Detector | None = None
-) -> Floats | None:
-    """Return the budget of a muon across the beam, (terms, 5 parameters); None where it cannot be fitted."""
+) -> _Terms | None:
+    """Return the budget of a muon across the beam, or where it cannot be fitted, of one through the most layers.
+
+    None where that one cannot be fitted, either.
+    """
     variants = {"variants": [core]} if hits_of else {}
-    found = _muon_across(hits_of or core, layers, budget=True, **variants)
-    # The last column is a covariance.
-    return None if found is None else np.ascontiguousarray(found["budget"][0, :, :5])
+    hits = hits_of or core
+    for tanl in dict.fromkeys((0.0, hits.slope_through_most)):
+        found = _muon(hits, layers, tanl, budget=True, **variants)
+        if found is not None:
+            return _Terms(np.ascontiguousarray(found["budget"][0, :, :5]), tanl)  # the last column is a covariance
+    return None
 
 
-def _muon_across(core: _core.detector.Detector, layers: Sequence[Layer], **how: Any) -> dict[str, Any] | None:
-    """Return the expected covariance of a muon of 1 GeV/c across the beam, None where it cannot be fitted."""
-    one, none = np.ones(1), np.zeros(1)
+def _muon(core: _core.detector.Detector, layers: Sequence[Layer], tanl: float, **how: Any) -> dict[str, Any] | None:
+    """Return the expected covariance of a muon with a pT of 1 GeV/c, None where it cannot be fitted."""
+    one = np.ones(1)
     # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs. Tuned detectors are
     # kept: with the scalar kernels they are the same whichever instruction set was in use when they were made.
     found = _core.covariance.covariances(
-        core, phi=0.1 * one, kappa=-one / _MOMENTUM, tanl=none, mass=_MUON * one, scatters=none, samples=1, scalar=True,
-        phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
+        core, phi=0.1 * one, kappa=-one / _MOMENTUM, tanl=tanl * one, mass=_MUON * one, scatters=np.zeros(1), samples=1,
+        scalar=True, phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
         model={
             "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,
             "prior_sigma": (20.0, 0.1, 1.0, 100.0, 0.2), "cos_theta": [0.0], "corr_xv": [0.0] * len(layers),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,68 @@ def test_pulls_of_a_barrel_of_silicon(finder: str) -> None:
     np.testing.assert_allclose(widths_of_pulls(result), 1, atol=4 / math.sqrt(2 * n))
     means = np.array([tracks[f"pull_{name}"].mean() for name in PARAMETERS])
     np.testing.assert_allclose(means, 0, atol=4 / math.sqrt(n))
+
+
+LADDERS = {"ladders": 12, "ladder_gap": "4 mm", "ladder_phi": "10 deg"}
+
+
+def gap_distance(phi: Any) -> Any:
+    """Return how far azimuths on S4 are from the middle of the next gap, by hand: one every 30 degrees, from 10."""
+    degrees = np.mod(np.degrees(phi) - 10 + 15, 30) - 15
+    return 80 * np.radians(np.abs(degrees))
+
+
+def laddered(gap: str = "4 mm") -> cg.Detector:
+    return barrel(sigma="10 um").with_overrides(
+        {f"layer.S4.{k}": v for k, v in (LADDERS | {"ladder_gap": gap}).items()}
+    )
+
+
+def test_crossings_between_ladders_make_no_hits() -> None:
+    """All others do; truths are those without gaps; the covariance expects the share by hand, 12 x 4 mm of 503 mm."""
+    plain, made = run(barrel(sigma="10 um"), 1500), run(laddered(), 1500)
+    assert made.truths == plain.truths
+    mine = made.truths["layer"] == 3
+    lost = mine & (gap_distance(made.truths["phi"]) < 2)
+    assert lost.sum() == pytest.approx(1500 * 48 / (2 * math.pi * 80), abs=4 * math.sqrt(143))
+    kept = np.zeros(len(mine), np.bool_)
+    kept[made.digis["truth"]] = True
+    assert np.array_equal(kept, ~lost)
+    found = cg.analytic(laddered(), "mu-", p=1.0, cos_theta=0.2)
+    assert found.n_clusters == pytest.approx(14 - 2 * 48 / (2 * math.pi * 80), abs=0.02)
+    assert found.sigma("dr") > 1.001 * cg.analytic(barrel(sigma="10 um"), "mu-", p=1.0, cos_theta=0.2).sigma("dr")
+    np.testing.assert_allclose(widths_of_pulls(made), 1, atol=4 / math.sqrt(2 * 1500))
+
+
+def test_the_finder_counts_no_hole_between_ladders(monkeypatch: pytest.MonkeyPatch) -> None:
+    gun = cg.Gun("mu-", p=3.0, cos_theta=(-0.3, 0.3), phi=math.radians(10))
+    made = cg.run(laddered("20 mm"), gun, 40, 2, finder="ckf", settings=QUIET)
+    assert not np.any(made.digis["layer"] == 3)
+    holes, find = [], _core.reconstruction.find_tracks
+
+    def recorded(*given: Any, **named: Any) -> Any:
+        out = find(*given, **named)
+        holes.append(np.mean(out["holes"]))
+        return out
+
+    monkeypatch.setattr(_core.reconstruction, "find_tracks", recorded)
+    for known in (laddered("20 mm"), barrel(sigma="10 um")):
+        assert len(cg.find_tracks(known, made.clusters, made.wire_hits)["candidates"]) == 40
+    assert holes == [0, 2]
+
+
+def test_ladders_of_a_file() -> None:
+    detector = laddered()
+    assert cg.load(tomllib.loads(detector.to_toml())) == detector
+    assert "12 ladders 4 mm apart" in detector.layer["S4"].text()
+    assert "ladder" not in barrel(sigma="10 um").to_toml()
+    for wrong, expected in (
+        ({"ladders": 12}, "ladders: got 12, and ladder_gap = 0 mm"),
+        ({"ladder_gap": "1 mm"}, "ladders: got 0, and ladder_gap = 1 mm"),
+        ({"ladders": 12, "ladder_gap": "50 mm"}, "ladder_gap: got 50 mm, expected less than 41.8879 mm"),
+    ):
+        with pytest.raises(cg.DetectorError, match=expected):
+            barrel(sigma="10 um").with_overrides({f"layer.S4.{name}": value for name, value in wrong.items()})
 
 
 LARGE = {"kind": "uniform", "bz": "-2 T"}

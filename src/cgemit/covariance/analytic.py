@@ -335,7 +335,8 @@ def _hit_model(
         "prior_sigma": fit.prior_in(detector),
     }  # fmt: skip
     model = with_errors_of(model, detector)
-    lost = _inefficient(detector) or any(most_unseen(layer) > _SAMPLED_LOSS for layer in detector.layers)
+    gaps = any(layer.dead_seam > 0 or layer.ladder_gap > 0 for layer in detector.layers)
+    lost = gaps or _inefficient(detector) or any(most_unseen(layer) > _SAMPLED_LOSS for layer in detector.layers)
     given = np.all(np.array(model["sigma_x"]) > 0) and np.all(np.array(model["sigma_v"]) > 0)
     return ExpectedHits(model, lost or not given)
 

@@ -143,6 +143,8 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
 
 #: Of the distance to an end: scatters move tracks by less than a fifth of it.
 _NEAR = 0.8
+#: And by less than this angle times the arc, where an end is at z = 0.
+_SCATTER = 0.02
 
 
 @once
@@ -170,8 +172,11 @@ def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np
     if not len(maybe):
         return found
     _, arc = path_to(radius, kappa[maybe, None], detector.field.bz)
-    end = np.where(tanl[maybe, None] < 0, -low, high)
-    found[maybe] = np.any(steep[maybe, None] * arc > _NEAR * end, axis=1)
+    z, back = steep[maybe, None] * arc, tanl[maybe, None] < 0
+    far, near = np.where(back, -low, high), np.where(back, -high, low)
+    # Of a layer beside z = 0, tracks come near the first end, too, and none behind reaches it.
+    begins = (near >= 0) & (np.abs(z - near) < (1 - _NEAR) * np.maximum(z, near) + _SCATTER * arc)
+    found[maybe] = np.any(np.where(far > 0, z > _NEAR * far, z < far + _SCATTER * arc) | begins, axis=1)
     return found
 
 

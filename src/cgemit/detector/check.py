@@ -13,7 +13,7 @@ from cgemit.detector.keys import Part, keys_of, once
 from cgemit.detector.layers import Layer
 from cgemit.detector.layers.wires import DriftChamber, WireLayer
 from cgemit.detector.parts import Contents, Cylinder, extent
-from cgemit.detector.shells import TOUCH
+from cgemit.detector.shells import TOUCH, Bounded, share_z
 from cgemit.units import NATIVE, format_quantity
 
 _COIL = 1.25
@@ -86,10 +86,18 @@ def _part_problems(part: Part) -> list[Problem]:
             problems.append(Problem(name, f'"{value.name}", which is no gas', key.expected()))
         elif key.choices and value not in key.choices:
             problems.append(Problem(name, repr(value), key.expected()))
+    if isinstance(part, Bounded) and (part.z_min is not None or part.z_max is not None):
+        problems += _ends_problem(part.z_min, part.z_max)
     for path, one in part.inner():
         if found := _part_problems(one):
             problems += _below(path, found)
     return problems
+
+
+def _ends_problem(low: float | None, high: float | None) -> list[Problem]:
+    if low is None or high is None:
+        return [Problem("z_max" if low is None else "z_min", "without the other end", "z_min and z_max")]
+    return [] if not low >= high else [Problem("z_max", f"{high:g} mm", f"above z_min, {low:g} mm")]
 
 
 def geometry_problems(
@@ -173,6 +181,8 @@ def _unreached(ends: tuple[float, float], first: float, last: float) -> str:
     below, above = first > ends[0], last < ends[1]
     if not (below or above):
         return ""
+    if first >= ends[1] or last <= ends[0]:
+        return f"no track from the origin reaches it: the field ends at z = {last if above else first:g} mm"
     places = [f"z below {first:g} mm"] * below + [f"z above {last:g} mm"] * above
     return f"no track from the origin reaches {' and '.join(places)}: the field ends there"
 
@@ -204,14 +214,15 @@ def _wires_inside(span: Span, layers: Sequence[WireLayer]) -> list[Problem]:
 
 
 def _overlaps(spans: Sequence[Span]) -> list[Problem]:
-    """Return the parts that begin inside another one; all reach z = 0."""
+    """Return the parts that begin inside another one at the same z."""
     covered: dict[Span, list[Span]] = {}
-    known = [span for span in spans if not math.isnan(span.r_in + span.r_out)]  # others could not be read
-    before = Span(0.0, 0.0, (0.0, 0.0), "")
-    for span in sorted(known):
-        if span.r_in < before.r_out - TOUCH:
-            covered.setdefault(before, []).append(span)
-        before = span if span.r_out > before.r_out else before
+    known = sorted(span for span in spans if not math.isnan(span.r_in + span.r_out))  # others could not be read
+    open_: list[Span] = []  # those that reach the next one
+    for span in known:
+        open_ = [one for one in open_ if span.r_in < one.r_out - TOUCH]
+        if inside := [one for one in open_ if share_z(one.ends, span.ends)]:
+            covered.setdefault(max(inside, key=lambda one: one.r_out), []).append(span)
+        open_.append(span)
     # One problem for all that begin inside a part; the odd one out is the one to look at.
     return [
         _overlap(inside[0], [part]) if len(inside) == 1 else _overlap(part, inside) for part, inside in covered.items()

@@ -92,11 +92,11 @@ def seam_strips(layer: Layer) -> Ints:
 
 
 def in_dead_area(layer: Layer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
-    """Return whether points of a sheet are in the dead part of a seam or of an end, (n,) bool.
+    """Return whether points of a sheet are in the dead part of a seam or of an end, or between ladders, (n,) bool.
 
     Parameters
     ----------
-    layer : CgemLayer
+    layer : Layer
     x : ndarray, (n,) float64, mm
         From the edge of the sheet.
     z : ndarray, (n,) float64, mm
@@ -106,7 +106,11 @@ def in_dead_area(layer: Layer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
     at_seam = (beside < 0.5 * layer.dead_seam) & (layer.dead_seam > 0)
     low, high = layer.ends
     at_end = (z < low + layer.dead_ends) | (z > high - layer.dead_ends)
-    return np.asarray(at_seam | (at_end & (layer.dead_ends > 0)))
+    dead = at_seam | (at_end & (layer.dead_ends > 0))
+    if layer.ladders:
+        width = 2 * np.pi * layer.r_readout / layer.ladders
+        dead |= np.abs(np.remainder(x - layer.ladder_first + 0.5 * width, width) - 0.5 * width) < 0.5 * layer.ladder_gap
+    return np.asarray(dead)
 
 
 @lru_cache(maxsize=64)
@@ -479,6 +483,9 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     columns |= _placement_columns("placement", layers)
     strips = [layer.sheets * (layer.strips_x + layer.strips_v) for layer in layers]
     columns["gid_first"] = np.cumsum([0, *strips])[:-1].astype(np.int32)
+    columns["ladders"] = np.array([layer.ladders for layer in layers], dtype=np.int32)
+    for name in ("ladder_gap", "ladder_first"):
+        columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.float64)
     return columns
 
 

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ from cgemit.detector.check import geometry_problems
 from cgemit.detector.material import x0_of_fractions
 from cgemit.detector.matter import row_shells
 from cgemit.detector.parts import Contents
-from cgemit.detector.shells import Shell
+from cgemit.detector.shells import Shell, share_z
 
 _M = 1000.0  # mm
 _COLUMNS = 13
@@ -272,14 +271,13 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
             disks.append(label)
             continue
         low, high, radius, thickness, x0, measured, up, down, sigma_up, sigma_down, efficiency = numbers
-        ends = low * _M, high * _M
-        if low >= 0 or high <= 0 or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
-            expected = "z on both sides, a radius, thickness and radiation length above 0, an efficiency from 0 to 1"
-            problems.append(Problem(place, given, expected))
+        ends = max(low * _M, -0.5 * _LONGEST), min(high * _M, 0.5 * _LONGEST)
+        if ends[0] >= ends[1] or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
+            expected = "z from low to high, within 5 m of z = 0, a radius, thickness and radiation length above 0, an "
+            problems.append(Problem(place, given, expected + "efficiency from 0 to 1"))
             continue
         on = [efficiency > 0 and measured >= count for count in (1, 2)]
         sigma = tuple(_M * value if use else 0.0 for value, use in zip((sigma_up, sigma_down), on, strict=True))
-        ends = max(ends[0], -0.5 * _LONGEST), min(ends[1], 0.5 * _LONGEST)
         rows.append(
             Row(
                 label, ends, _M * radius, _M * thickness, _M * x0, (up, down), (sigma[0], sigma[1]),
@@ -290,31 +288,41 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
 
 
 def _apart(rows: Sequence[Row], problems: list[Problem]) -> tuple[list[Row], list[str]]:
-    """Return rows of different radii, and the labels of those of matter alone that are put behind a layer for it."""
+    """Return rows of different radii at each z, and the labels of those of matter alone put behind a layer for it."""
     found: list[Row] = []
     moved = []
     for row in sorted(rows, key=lambda row: (row.radius, not row.views)):
-        if not found or row.radius - found[-1].radius >= _ROUNDING:
+        before = next((one for one in reversed(found) if share_z(one.ends, row.ends)), None)
+        if before is None or row.radius - before.radius >= _ROUNDING:
             found.append(row)
         elif row.views:
-            given = f"{found[-1].label} and {row.label} at r = {row.radius:g} mm"
+            given = f"{before.label} and {row.label} at r = {row.radius:g} mm"
             problems.append(Problem("DetectorGeometry", given, "layers that measure at different radii"))
         else:
-            behind = found[-1].radius + 0.5 * (found[-1].thickness + row.thickness)
+            behind = before.radius + 0.5 * (before.thickness + row.thickness)
             found.append(replace(row, radius=behind))
             moved.append(row.label)
     return sorted(found, key=lambda row: row.radius), moved
 
 
+def _neighbours(rows: Sequence[Row]) -> list[tuple[int, int]]:
+    """Return the numbers of rows, by radius, of which one is the next to the other at some z; the inner one first."""
+    n = len(rows)
+    above = [(i, next((k for k in range(i + 1, n) if share_z(rows[i].ends, rows[k].ends)), n)) for i in range(n)]
+    below = [(next((k for k in range(i - 1, -1, -1) if share_z(rows[i].ends, rows[k].ends)), n), i) for i in range(n)]
+    return sorted({pair for pair in (*above, *below) if n not in pair})
+
+
 def _beside(rows: Sequence[Row]) -> list[float]:
     """Return the thickness of each row, mm, with which it is beside its neighbours about its own radius."""
     halves = [0.5 * row.thickness for row in rows]
-    for i, gap in enumerate(outer.radius - inner.radius for inner, outer in pairwise(rows)):
-        one, other = 0.5 * rows[i].thickness, 0.5 * rows[i + 1].thickness
+    for i, k in _neighbours(rows):
+        gap = rows[k].radius - rows[i].radius
+        one, other = 0.5 * rows[i].thickness, 0.5 * rows[k].thickness
         if one + other <= gap:
             continue
         halves[i] = min(halves[i], max(gap - other, 0.5 * gap))
-        halves[i + 1] = min(halves[i + 1], max(gap - one, 0.5 * gap))
+        halves[k] = min(halves[k], max(gap - one, 0.5 * gap))
     return [2 * half for half in halves]
 
 
@@ -396,7 +404,7 @@ def card_of(detector: Contents) -> str:
 
     Clusters of CGEM layers have the errors of the readout ``gaussian``; a layer of wires is a cylinder at its radius
     at z = 0 that measures along its stereo angle, with the matter of its gas. The cylinder is so thin that it is
-    beside all others. What other layers measure by a pitch has its error.
+    beside all others. What other layers measure by a pitch has its error. Gaps between ladders lower the efficiency.
 
     Parameters
     ----------
@@ -435,7 +443,8 @@ def _written(detector: Contents) -> Iterator[Row]:
             measures = bool(layer.views) and shells[0].group == layer.sensitive
             views = [(0.0, x)] * (x > 0) + [(layer.stereo, v)] * (v > 0) if measures else []
             row = _row(shells, layer.card_label(shells[0].group), views)
-            yield replace(row, efficiency=layer.efficiency) if measures else row
+            alive = 1 - layer.ladders * layer.ladder_gap / (2 * math.pi * layer.r_readout)
+            yield replace(row, efficiency=layer.efficiency * alive) if measures else row
     chamber = detector.drift_chamber
     begin = chamber.layers[0].r_mid if chamber else 0.0
     edges = [part.r_out for part in (*detector.beam_pipe, *detector.walls)]
@@ -451,10 +460,11 @@ def _written(detector: Contents) -> Iterator[Row]:
 
 def _parted(rows: Sequence[Row]) -> list[Row]:
     """Return rows by radius with cylinders of gas so thin that they are beside others, with the same matter each."""
-    parted = []
+    parted, pairs = [], _neighbours(rows)
     for place, row in enumerate(rows):
         width = row.thickness
-        for other in (*rows[max(place - 1, 0) : place], *rows[place + 1 : place + 2]) if row.gas else ():
+        beside = [rows[i + k - place] for i, k in pairs if place in (i, k)]
+        for other in beside if row.gas else ():
             apart = abs(row.radius - other.radius)
             width = min(width, apart if other.gas else 2 * apart - other.thickness)
         width = min(width, _THICKEST) if row.gas else width
@@ -465,12 +475,12 @@ def _parted(rows: Sequence[Row]) -> list[Row]:
 
 def _check_readable(text: str, rows: Sequence[Row], source: str) -> None:
     """Raise an error if a card would not be read as the same layers."""
-    problems, edge, below = Problems(), -math.inf, ""
-    for row in rows:
+    problems = Problems()
+    for i, k in _neighbours(rows):
+        row, edge = rows[k], rows[i].radius + 0.5 * rows[i].thickness
         if row.radius - 0.5 * row.thickness < edge - _ROUNDING:
             between = f"{row.radius - 0.5 * row.thickness:g} to {row.radius + 0.5 * row.thickness:g} mm"
-            problems.note(row.label, between, f"a cylinder beside {below}, which ends at {edge:g} mm")
-        edge, below = row.radius + 0.5 * row.thickness, row.label
+            problems.note(row.label, between, f"a cylinder beside {rows[i].label}, which ends at {edge:g} mm")
     problems.report(source, DetectorError)
     tables = _tables(text, source, "card", Path())
     read = problems.collect(read_contents, source, tables, problems)

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from itertools import groupby, pairwise
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from cgemit.detector.keys import once
 from cgemit.detector.layers.wires import DriftChamber, WireLayer
 from cgemit.detector.material import Material
 from cgemit.detector.parts import Contents, Cylinder
-from cgemit.detector.shells import ENDLESS, TOUCH, Holes, Shell, Slab
+from cgemit.detector.shells import ENDLESS, TOUCH, Holes, Shell, Slab, share_z
 
 #: RNG places of slabs that only a lattice has count from here, so that other slabs keep theirs.
 _FIRST_PLACE = 1 << 16
@@ -101,35 +101,51 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
 
 @lru_cache(maxsize=256)
 def _cylinders(group: str, cylinders: tuple[Cylinder, ...], merge: bool) -> tuple[Slab, ...]:
-    """Return cylinders as slabs; touching ones are joined and reach as far along the beam as any of them."""
+    """Return cylinders as slabs; touching ones about z = 0 are joined and reach as far along the beam as any of them.
+
+    Others are joined only with their like: they may lie beside each other.
+    """
     runs: list[list[Shell]] = []
     for part in cylinders:
         shell = Shell(group, part.label, part.r_in, part.r_out, part.ends, part.material)
-        if merge and runs and part.r_in - runs[-1][-1].r_out < TOUCH:
+        if merge and runs and part.r_in - runs[-1][-1].r_out < TOUCH and _may_join(runs[-1][-1].ends, part.ends):
             runs[-1].append(shell)
         else:
             runs.append([shell])
     return tuple(Slab(tuple(run)) for run in runs)
 
 
+def _may_join(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return one == other or all(low < 0 < high for low, high in (one, other))
+
+
 def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Slab]:
     """Return air between the parts, and the gas of the drift chamber around and between its wire layers."""
     chamber = detector.drift_chamber
     first_wire = chamber.layers[0].r_mid if chamber else math.inf
-    inside = [slab for slab in solid if slab.r_in < first_wire]
-    found = []
-    for inner, outer in pairwise(inside):
-        end, begin = inner.r_out, outer.r_in
-        if begin - end > TOUCH:
-            found.append(_air(end, begin, detector.air))
+    found = _airs([slab for slab in solid if slab.r_in < first_wire], detector.air)
     if chamber:
-        # Without a part inside, the chamber begins at its first wire layer, or with the cells of wires that count.
+        # Parts beside the chamber along the beam do not bound its gas. Without a part inside, the chamber begins at
+        # its first wire layer, or with the cells of wires that count.
+        low, high = zip(*(layer.ends for layer in chamber.layers), strict=True)
+        about = [slab for slab in solid if share_z(slab.ends, (min(low), max(high)))]
+        inside = [slab for slab in about if slab.r_in < first_wire]
         gas = _gas(chamber)
         half_cell = math.pi * first_wire / chamber.layers[0].cells if gas.layers[0].wires else 0.0
         start = inside[-1].r_out if inside else first_wire - half_cell
-        walls = tuple((slab.r_in, slab.r_out) for slab in solid if slab.r_in > start - TOUCH)
+        walls = tuple((slab.r_in, slab.r_out) for slab in about if slab.r_in > start - TOUCH)
         found += _chamber_gas(gas, start, walls, merge)
         found += _behind(detector, chamber, solid)
+    return found
+
+
+def _airs(solid: Sequence[Slab], air: Material) -> list[Slab]:
+    """Return the air between parts."""
+    found, end = [], math.inf
+    for slab in solid:
+        if slab.r_in - end > TOUCH:
+            found.append(_air(end, slab.r_in, air))
+        end = slab.r_out if end == math.inf else max(end, slab.r_out)
     return found
 
 
@@ -137,15 +153,13 @@ def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) ->
     """Return the gas from the outermost wires to the part behind them, and air between the parts from there on."""
     last = chamber.layers[-1]
     outside = [slab for slab in solid if slab.r_in > last.r_mid - TOUCH]
+    behind = next((slab for slab in outside if share_z(slab.ends, last.ends)), None)
     found = []
-    if outside and outside[0].r_in - last.r_mid > TOUCH:
+    if behind and behind.r_in - last.r_mid > TOUCH:
         text = f"gas behind layer {last.number}"
-        shell = Shell("gas", text, last.r_mid, outside[0].r_in, last.ends, last.gas or chamber.gas)
+        shell = Shell("gas", text, last.r_mid, behind.r_in, last.ends, last.gas or chamber.gas)
         found.append(Slab((shell,)))
-    for inner, outer in pairwise(outside):
-        if outer.r_in - inner.r_out > TOUCH:
-            found.append(_air(inner.r_out, outer.r_in, detector.air))
-    return found
+    return found + _airs(outside, detector.air)
 
 
 @lru_cache(maxsize=256)
@@ -209,8 +223,8 @@ def _lumps(gas: Sequence[Slab]) -> list[Slab]:
 
 def _same_end(a: Slab, b: Slab) -> bool:
     ends = [shell.ends for slab in (a, b) for shell in slab.shells]
-    west, east = ([abs(one[side]) for one in ends] for side in (0, 1))
-    return max(west) < 1.01 * min(west) and max(east) < 1.01 * min(east)
+    west, east = ([one[side] for one in ends] for side in (0, 1))
+    return all(max(one) - min(one) < 0.01 * min(map(abs, one)) for one in (west, east)) or len(set(ends)) == 1
 
 
 @lru_cache(maxsize=256)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -150,6 +150,10 @@ class Reader:
         stated = [name for name in (short, *ends) if name in given and not isinstance(given[name], Known)]
         if len(ends) == 2 and stated[:1] != [short]:
             low, high = (values[name] for name in names)
+            if low >= high:
+                self._note_order(path, stated, low, high)
+                values |= {short: UNUSABLE, **dict.fromkeys(names)}
+                return
             values[short] = share * (high - low)
             if low == -high:
                 values |= dict.fromkeys(names)
@@ -161,6 +165,12 @@ class Reader:
         elif len(stated) > 1:
             self.note(f"{path}.{short}", f"also {stated[1]}", f"{short}, or z_min and z_max")
         values |= dict.fromkeys(ends)
+
+    def _note_order(self, path: str, stated: Sequence[str], low: float, high: float) -> None:
+        if "z_max" in stated:
+            self.note(f"{path}.z_max", f"{high:g} mm", f"above z_min, {low:g} mm")
+        else:
+            self.note(f"{path}.z_min", f"{low:g} mm", f"below z_max, {high:g} mm")
 
     def value(self, path: str, raw: object, key: Key) -> Any:
         """Return one value in native units, or UNUSABLE after noting what is wrong."""

@@ -17,20 +17,19 @@ from cgemit.detector.material import Element, Material
 TOUCH = 1e-6  # mm; parts closer than this touch
 ENDLESS = (-1e9, 1e9)  # mm, ends of air
 
-_END = "end at {}; both ends take the place of the length"
+_END = "z of the end at {}; both ends take the place of the length"
+_FAR = 5000.0  # mm, of an end from z = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounded(Part):
-    """A part with ends along the beam: z_min and z_max where they differ, else a length is the short form of both."""
+    """A part with ends along the beam: z_min and z_max, or a length if they are as far from z = 0 on both sides."""
 
     #: Name of the short form, and its value over the distance of the ends.
     short_form: ClassVar[tuple[str, float]] = ("half_length", 0.5)
 
-    z_min: float | None = field(
-        metadata=key("length", _END.format("-z"), -5000.0, -1.0, quiet=True), default=None
-    )  # mm
-    z_max: float | None = field(metadata=key("length", _END.format("+z"), 1.0, 5000.0, quiet=True), default=None)  # mm
+    z_min: float | None = field(metadata=key("length", _END.format("-z"), -_FAR, _FAR, quiet=True), default=None)  # mm
+    z_max: float | None = field(metadata=key("length", _END.format("+z"), -_FAR, _FAR, quiet=True), default=None)  # mm
 
     if TYPE_CHECKING:
 
@@ -55,6 +54,11 @@ class Bounded(Part):
         """Return the ends as a part of a line."""
         low, high = self.ends
         return f"length {high - low:g} mm" if low == -high else f"z = {low:g} to {high:g} mm"
+
+
+def share_z(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Return whether parts with these ends, mm, have a part of z in common; ends that touch are none."""
+    return not (one[1] <= other[0] + TOUCH or other[1] <= one[0] + TOUCH)
 
 
 class Shell(NamedTuple):
@@ -167,6 +171,12 @@ class Slab:
     shells: tuple[Shell, ...]
     gap: int = -1
     holes: Holes | None = None  # of a part of a foil at the density of its solid matter
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends along the beam, mm."""
+        low, high = zip(*(shell.ends for shell in self.shells), strict=True)
+        return min(low), max(high)
 
     @property
     def filler(self) -> int:

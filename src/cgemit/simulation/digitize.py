@@ -249,7 +249,7 @@ def _digis(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
 
 
 def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:
-    """Drop the digis of crossings in the dead part of a seam or of an end.
+    """Drop the digis of crossings in the dead part of a seam or of an end, or between ladders.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table
     """
     dead = np.zeros(len(truths), np.bool_)
     for number, layer in enumerate(detector.layers):
-        if layer.dead_seam > 0 or layer.dead_ends > 0:
+        if layer.dead_seam > 0 or layer.dead_ends > 0 or layer.ladder_gap > 0:
             rows = np.flatnonzero(truths["layer"] == number)
             phi = truths["phi"][rows]
             turn = np.min([np.remainder(phi - start, 2 * np.pi) for start in layer.sheet_phi], axis=0)

@@ -118,6 +118,9 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("lorentz_shift", layers[i].lorentz_shift, -far, far);
     part.within("slope", layers[i].slope, 0, far);
     part.within("sheets", layers[i].sheets, 1, most_sheets);
+    part.within("ladders", layers[i].ladders, 0, most_strips);
+    part.within("ladder_gap", layers[i].ladder_gap, 0, far);
+    part.within("ladder_first", layers[i].ladder_first, -far, far);
     part.within("strips_x", layers[i].strips_x, 1, most_strips);
     part.within("strips_v", layers[i].strips_v, 1, most_strips);
     for (const double phi : layers[i].phi_first) part.within("phi_first", phi, -far, far);
@@ -282,6 +285,7 @@ void bind_detector(py::module_& module) {
                                for (const Slab& slab : d.slabs) unseen.push_back(slab.unseen);
                                return to_numpy(std::move(unseen));
                              })
+      .def_property_readonly("slope_through_most", &slope_through_most)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_layers", [](const Detector& d) { return d.layers.size(); })
       .def_property_readonly("n_wire_layers", [](const Detector& d) { return d.wires.size(); });

@@ -78,9 +78,17 @@ py::dict run_find(const Detector& detector, const Array<std::int64_t>& event_off
 }  // namespace
 
 void bind_find(py::module_& module) {
-  module.def("circle_layers", &circle_layers, py::kw_only(), py::arg("axial"), py::arg("across"),
-             py::arg("single"), py::arg("least_axial"),
+  module.def("circle_layers", &circle_layers, py::arg("detector"), py::kw_only(), py::arg("least_axial"),
              "Return how many layers a circle from the beam line needs where no cells fire by chance.");
+  module.def(
+      "segment_pairs",
+      [](const Detector& detector) {
+        py::list found;
+        for (const auto& [inner, outer] : layer_pairs(detector, between_two))
+          found.append(py::make_tuple(inner, outer));
+        return found;
+      },
+      py::arg("detector"), "Return the pairs of layers of which segments are made.");
   module.def("view_layers", &view_layers, py::kw_only(), py::arg("layers"), py::arg("least_axial"),
              "Return how many layers of one stereo sign a circle needs among so many, without axial wires.");
   module.def(

@@ -77,7 +77,8 @@ class ExpectedHits {
     for (int sheet = 0; sheet < layer.sheets; ++sheet) {
       const T begins(wrap_angle(layer.phi_first[static_cast<std::size_t>(sheet)]));
       const T along = along_sheet(layer, phi, begins);
-      const Mask on = within & (along >= dead) & (along < layer.sheet_width() - dead);
+      const Mask on =
+          within & (along >= dead) & (along < layer.sheet_width() - dead) & !layer.between_ladders(along);
       edge = select(on, begins, edge);
       there = there | on;
       each_lane(on, [&](int i) { channel[static_cast<std::size_t>(i)] = sheet; });

@@ -73,10 +73,32 @@ bool reopens(const std::vector<WireLayer>& wires, double radius) {
     std::array<double, 2>& steepest = r > radius ? outside : inside;
     steepest = {std::max(steepest[0], -layer.ends.low / r), std::max(steepest[1], layer.ends.high / r)};
   }
-  return inside[1] > 0 && (outside[0] > inside[0] || outside[1] > inside[1]);
+  return std::max(inside[0], inside[1]) > 0 && (outside[0] > inside[0] || outside[1] > inside[1]);
 }
 
 }  // namespace
+
+double slope_through_most(const Detector& detector) {
+  std::vector<Ends> slopes;
+  const auto add = [&slopes](const Ends& ends, double r) { slopes.push_back({ends.low / r, ends.high / r}); };
+  for (const MeasuringLayer& layer : detector.layers) add(layer.ends, layer.r_mid());
+  for (const WireLayer& layer : detector.wires) add(layer.ends, radius_of(layer));
+  double best = 0;
+  std::ptrdiff_t most = 0;
+  for (const Ends& first : slopes) {
+    double end = first.high;
+    std::ptrdiff_t crossed = 0;
+    for (const Ends& one : slopes) {
+      if (!one.hold(first.low)) continue;
+      ++crossed;
+      end = std::min(end, one.high);
+    }
+    if (crossed <= most) continue;
+    most = crossed;
+    best = 0.5 * (first.low + end);
+  }
+  return best;
+}
 
 void place_wires(std::vector<WireLayer>& layers, const Placement& chamber) {
   for (WireLayer& layer : layers) {

@@ -22,19 +22,20 @@ inline constexpr int loss_points = 161;
 inline constexpr double loss_grid_first = -3.0;  // ln(beta gamma)
 inline constexpr double loss_grid_step = 0.1, loss_grid_per_step = 10;
 
-// The ends of a part along the beam, mm. Neither holds of a z that is no number.
+// The ends of a part along the beam, mm, on either side of z = 0. The upper one is excluded: of two parts
+// that meet there a track crosses one. Neither `hold` nor `miss` holds of a z that is no number.
 struct Ends {
   double low, high;
 
   template <class T>
   mask_of<T> hold(const T& z, double margin = 0) const {
-    return (z >= low - margin) & (z <= high + margin);
+    return (z >= low - margin) & (z < high + margin);
   }
   template <class T>
   mask_of<T> miss(const T& z, double margin = 0) const {
-    return (z < low - margin) | (z > high + margin);
+    return (z < low - margin) | (z >= high + margin);
   }
-  // Distance from z = 0 of the end that tracks with this tanl fly to.
+  // Distance from z = 0 of the end that tracks with this tanl fly to; negative if it is behind z = 0.
   template <class T>
   T ahead(const T& tanl) const {
     return select(tanl < 0.0, T(-low), T(high));
@@ -181,6 +182,9 @@ struct MeasuringLayer {
   double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in readouts without drift
   bool has_x = true, has_v = true;  // views that are measured
   double slope = 0;                 // growth of errors with the projected path, added in quadrature
+  // Of a layer of one sheet: ladders around the beam, the gap between two, and X of the middle of a gap, mm.
+  int ladders = 0;
+  double ladder_gap = 0, ladder_first = 0;
 
   static constexpr auto columns() {
     return std::tuple(
@@ -193,9 +197,19 @@ struct MeasuringLayer {
         Column("gid_first", &MeasuringLayer::gid_first), Column("placement_", &MeasuringLayer::placement),
         Column("dead_seam", &MeasuringLayer::dead_seam), Column("dead_ends", &MeasuringLayer::dead_ends),
         Column("lorentz_shift", &MeasuringLayer::lorentz_shift), Column("has_x", &MeasuringLayer::has_x),
-        Column("has_v", &MeasuringLayer::has_v), Column("slope", &MeasuringLayer::slope));
+        Column("has_v", &MeasuringLayer::has_v), Column("slope", &MeasuringLayer::slope),
+        Column("ladders", &MeasuringLayer::ladders), Column("ladder_gap", &MeasuringLayer::ladder_gap),
+        Column("ladder_first", &MeasuringLayer::ladder_first));
   }
 
+  // Whether an X lies between ladders, or beside them by less than a margin.
+  template <class T>
+  mask_of<T> between_ladders(const T& x, double margin = 0) const {
+    if (ladders == 0) return mask_of<T>(false);
+    const double width = sheet_width() / ladders;
+    const T off = x - ladder_first;
+    return abs(off - width * nearest(off * (1 / width))) < 0.5 * ladder_gap + margin;
+  }
   bool has(bool x) const { return x ? has_x : has_v; }
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
@@ -340,6 +354,10 @@ struct Detector {
   std::vector<Extent> parts;      // by radius
   LossCuts loss;
 };
+
+// tanl in the middle of the range where straight lines from the origin cross as many layers and layers of
+// wires as possible.
+double slope_through_most(const Detector& detector);
 
 // Computes the quantities of wire layers that follow from the rest of their description.
 void place_wires(std::vector<WireLayer>& layers, const Placement& chamber);

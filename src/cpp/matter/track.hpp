@@ -40,10 +40,11 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
   TrackMatterOf<T> total;
   mask_of<T> inside(true), chamber(true);  // as in `motion/reach.hpp`
   for (const Slab& slab : detector.slabs) {
-    mask_of<T> met = inside & slab.ends.hold(tanl * slab.radius);
+    const T z = tanl * slab.radius;
+    mask_of<T> met = inside & slab.ends.hold(z);
     if (slab.filler == Filler::chamber_gas) {
       met = chamber & met;
-      if (!slab.reopens) chamber = met;
+      if (!slab.reopens) chamber = chamber & (abs(z) < slab.ends.ahead(tanl));
     }
     total.x0 += select(met, T(slab.x0), 0.0);
     total.xi += select(met, T(slab.xi * slab.unseen), 0.0);

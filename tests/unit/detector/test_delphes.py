@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit.detector import DetectorError
+from cgemit import _core
+from cgemit.detector import DetectorError, compiled
 from cgemit.detector.delphes import card_of
 from cgemit.detector.matter import slabs
 from least_squares import Fit
@@ -168,7 +169,9 @@ def test_a_card_of_wires_and_cgem_layers():
     [
         ("1 A -1 1 0.1 0.001\n", "set B 2", 'line 5: got "1 A -1 1 0.1 0.001", expected 13 columns'),
         ("3 A -1 1 0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "line 5"),
-        ("1 A 1 2 0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "z on both sides"),
+        ("1 A 2 1 0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "z from low to high, within 5 m of z = 0"),
+        ("1 A 6 8 0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "z from low to high, within 5 m of z = 0"),
+        ("1 A 0 2 0.1 0.001 0.1 1 0 0 1e-5 0 1\n1 B 1 3 0.1 0.001 0.1 1 0 0 1e-5 0 1\n", "set B 2", "A and B at r ="),
         ("1 A -1 1 -0.1 0.001 0.1 0 0 0 0 0 0\n", "set B 2", "a radius, thickness and radiation length above 0"),
         ("1 A -1 1 0.1 0.001 nan 0 0 0 0 0 0\n", "set B 2", "13 columns"),
         (IDEA, "", "expected a line such as: set Bz 2.0"),
@@ -249,6 +252,42 @@ def test_unequal_ends(tmp_path):
     assert (lines["A"], lines["B"]) == (["-0.5", "0.8"], ["-0.9", "0.6"])
     long = cg.load(card(tmp_path, SENSORS + "1 A -9 100 0.5 0.0008 0.08 0 0 0 0 0 0\n"))
     assert long.walls["A"].ends == (-5000, 5000)
+
+
+HALF_ROWS = "".join(
+    line.replace("-1 1 ", z, 1) + "\n" for line in SENSORS.splitlines() for z in ("-1 -0.2 ", "-0.2 0.1 ", "0.1 1 ")
+)
+
+
+def test_rows_on_one_side(tmp_path):
+    """Rows of one radius that lie beside each other keep their ends, thickness and matter, to the card and back."""
+    rows = HALF_ROWS + "1 COIL 0.3 1.2 0.5 0.08 0.08 0 0 0 0 0 0\n1 TRUNK -1.4 -0.3 0.5 0.002 0.02 0 0 0 0 0 0\n"
+    detector = cg.load(card(tmp_path, rows))
+    assert [layer.ends for layer in detector.layers][:3] == [(-1000, -200), (-200, 100), (100, 1000)]
+    assert {layer.radius for layer in detector.layers[:3]} == {30}
+    assert {layer.thickness for layer in detector.layers} == {0.2}
+    assert detector.walls["COIL"].ends == (300, 1200)
+    assert detector.walls["TRUNK"].thickness == pytest.approx(2)
+    again = tmp_path / "again.tcl"
+    again.write_text(card_of(detector))
+    back = cg.load(again)
+    assert [(one.ends, one.radius, one.errors) for one in back.layers] == [
+        (one.ends, one.radius, one.errors) for one in detector.layers
+    ]
+    for one in (detector, back):  # by hand: six sensors, and the coil or the trunk
+        for tanl, beyond in ((1.3, 0.08 / 0.08), (-1.3, 0.002 / 0.02)):
+            found = _core.matter.total_matter(compiled(one), tanl)[0] / math.hypot(1, tanl)
+            assert found == pytest.approx(6 * 0.0002 / 0.0937 + beyond, rel=1e-4)
+
+
+def test_a_card_of_halves_has_the_resolutions_of_the_whole(tmp_path):
+    whole, halves = (cg.load(card(tmp_path, rows)) for rows in (SENSORS, HALF_ROWS))
+    for what in ("dr", "dz", "p"):
+        sigma = [
+            cg.analytic(one, "mu-", p=1.0, cos_theta=[-0.8, -0.3, 0.0, 0.8]).sigma(what) for one in (whole, halves)
+        ]
+        assert sigma[1] == pytest.approx(sigma[0], rel=1e-3)
+        assert sigma[0][0] == pytest.approx(sigma[0][3], rel=1e-6)
 
 
 def test_a_card_is_a_base(tmp_path):

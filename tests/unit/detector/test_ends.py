@@ -1,5 +1,6 @@
 """Ends of parts: their keys and short forms, variants, mistakes, and what is made of them, by value."""
 
+import dataclasses
 import math
 import tomllib
 from pathlib import Path
@@ -86,7 +87,10 @@ def test_ends_of_superlayers() -> None:
     [
         ({"cgem.L1": {"length": "500 mm", "z_max": "300 mm"}}, ("cgem.L1.length", "also z_max")),
         ({"layer.VTX": {**SENSOR, "z_max": "300 mm"}}, ("layer.VTX", "only z_max")),
-        ({"cgem.L1.z_min": "10 mm"}, ("cgem.L1.z_min", "10 mm")),
+        ({"cgem.L1.z_min": "270 mm"}, ("cgem.L1.z_min", "270 mm")),
+        ({"layer.VTX": {**SENSOR, "z_min": "60 mm", "z_max": "-60 mm"}}, ("layer.VTX.z_max", "-60 mm")),
+        ({"layer.VTX": {**SENSOR, "z_min": "60 mm", "z_max": "65 mm"}}, ("layer.VTX.length", "5.0 mm")),
+        ({"drift_chamber.layers.9.z_min": "3 m"}, ("drift_chamber.layers.9.z_min", "3000 mm")),
         ({"cgem.L1.z_max": "300"}, ("cgem.L1.z_max", '"300" (no unit)')),
         ({"walls.W": {"r_in": "1 m", "r_out": "1.01 m", "material": "Al"}}, ("walls.W", "only r_in, r_out, material")),
         ({"drift_chamber.layers.8.z_min": "-6 m"}, ("drift_chamber.layers.8.z_min", "-6000 mm")),
@@ -96,6 +100,67 @@ def test_mistakes(changes: dict[str, Any], expected: tuple[str, str]) -> None:
     (found,) = problems(changes)
     assert found[0] == expected[0]
     assert found[1].startswith(expected[1]) or expected[1] in found[1]
+
+
+def test_parts_on_one_side() -> None:
+    """Keys, texts, files and schema of parts on one side of z = 0, and of two that meet at z = 0 and at one radius."""
+    cut = DESIGN.with_overrides({
+        "cgem.L1.z_min": "20 mm", "drift_chamber.layers.8.z_max": "-50 mm", "walls.*.z_min": "0 mm",
+        "layer.FWD": {**SENSOR, "z_min": "0 mm", "z_max": "90 mm"},
+        "layer.BWD": {**SENSOR, "z_min": "-70 mm", "z_max": "0 mm"},
+    })  # fmt: skip
+    assert cut.cgem["L1"].ends == (20.0, 266.0)
+    assert cut.cgem["L1"].length == 246.0
+    assert (cut.layer["FWD"].ends, cut.layer["BWD"].ends) == ((0.0, 90.0), (-70.0, 0.0))
+    assert cut.wires[0].z_mid == 0.5 * (cut.wires[0].ends[0] - 50.0)
+    assert "z = 20 to 266 mm" in cut.cgem["L1"].text()
+    assert cg.load(tomllib.loads(cut.to_toml())) == cut
+    jsonschema.Draft202012Validator(schema()).validate(tomllib.loads(cut.to_toml()))
+    assert cut.with_overrides({"cgem.L1.length": "532 mm"}).cgem["L1"] == DESIGN.cgem["L1"]
+    assert not unreachable(cut)
+    with pytest.raises(DetectorError, match=r"above z_min, 20 mm"):
+        dataclasses.replace(cut, barrels=[dataclasses.replace(cut.cgem["L1"], z_max=10.0)])
+
+
+def test_parts_beside_each_other() -> None:
+    """Parts overlap only where they have z in common; wire layers beside each other share z with their neighbours."""
+    one = {**SENSOR, "z_min": "-60 mm", "z_max": "30 mm"}
+    for low, overlap in (("30 mm", False), ("29 mm", True)):
+        changes = {"layer.A": one, "layer.B": {**one, "radius": "40.1 mm", "z_min": low, "z_max": "90 mm"}}
+        if overlap:
+            ((path, given),) = problems(changes)
+            assert (path, given) == ("layer.B", "r = 39.9500 to 40.2500 mm")
+        else:
+            assert len(DESIGN.with_overrides(changes).layers) == 5
+    ((path, given),) = problems({
+        "drift_chamber.layers.8.z_max": "-50 mm", "drift_chamber.layers.9.z_min": "-50 mm"
+    })  # fmt: skip
+    assert (path, given) == ("drift_chamber.layers.9", "wires from z = -50 to 390 mm")
+    # A wall in the middle of the chamber, but beyond the end of its wires.
+    ring = {"r_in": "500 mm", "r_out": "520 mm", "z_min": "1300 mm", "z_max": "1500 mm", "material": "Al"}
+    beside = DESIGN.with_overrides({"walls.ring": ring})
+    gas = [[slab.x0 for slab in slabs(one) if slab.filler == 2] for one in (DESIGN, beside)]
+    assert gas[0] == gas[1]
+    assert [path for path, _ in problems({"walls.ring": {**ring, "z_min": "300 mm"}})] == ["walls.ring"]
+
+
+def test_touching_cylinders_beside_each_other_are_two_scatterers() -> None:
+    """Joined ones would have matter on the other side; those about z = 0 are joined, whatever their ends."""
+
+    def pipe(*ends: tuple[float, float]) -> list[tuple[float, float]]:
+        parts = {
+            f"P{i}": {
+                "r_in": f"{20 + i} mm", "r_out": f"{21 + i} mm", "z_min": f"{low} mm", "z_max": f"{high} mm",
+                "material": "Be",
+            }
+            for i, (low, high) in enumerate(ends)
+        }  # fmt: skip
+        tables = {"name": "own", "field": {"bz": "1 T"}, "beam_pipe": parts, "layer": {"A": SENSOR}}
+        return [slab.ends for slab in slabs(cg.load(tables)) if slab.shells[0].group == "pipe"]
+
+    assert pipe((-300, 0), (0, 200)) == [(-300.0, 0.0), (0.0, 200.0)]
+    assert pipe((50, 300), (50, 300)) == [(50.0, 300.0)]
+    assert pipe((-50, 300), (-80, 200)) == [(-80.0, 300.0)]
 
 
 def test_wires_that_cross_at_one_end_only() -> None:
@@ -125,6 +190,9 @@ def test_the_range_of_the_field_and_the_ends() -> None:
     (line,) = [one for one in found if one.startswith("cgem.L1")]
     assert "z above 200 mm" in line
     assert "below" not in line
+    found = unreachable(DESIGN.with_overrides({"cgem.L1.z_min": "210 mm"}).with_field(harmonic))
+    (line,) = [one for one in found if one.startswith("cgem.L1")]
+    assert line.endswith("no track from the origin reaches it: the field ends at z = 200 mm")
 
 
 def test_volumes_of_a_file_for_geant4(tmp_path: Path) -> None:
@@ -142,6 +210,22 @@ def test_volumes_of_a_file_for_geant4(tmp_path: Path) -> None:
     assert len(own) == len(list(cut.cgem["L1"].shells()))
     assert {placed[name] for name in own} == {100.0}
     assert {z for name, z in placed.items() if name not in own} == {0.0}
+
+
+def test_volumes_of_parts_on_one_side(tmp_path: Path) -> None:
+    """Two tubes of one radius, each in its middle, and a world that holds the farther end."""
+    cut = DESIGN.with_overrides({
+        "layer.FWD": {**SENSOR, "z_min": "20 mm", "z_max": "90 mm"},
+        "layer.BWD": {**SENSOR, "z_min": "-2000 mm", "z_max": "20 mm"},
+    })  # fmt: skip
+    cut.to_gdml(tmp_path / "cut.gdml")
+    root = ElementTree.parse(tmp_path / "cut.gdml").getroot()
+    tubes = {one.get("name"): (float(one.get("z", "")), one.get("rmin")) for one in root.iter("tube")}
+    assert {tube for name, tube in tubes.items() if "sensor" in str(name)} == {(70.0, "39.85"), (2020.0, "39.85")}
+    middle = [float(one.get("z", "")) for one in root.iter("position") if "sensor" in str(one.get("name"))]
+    assert sorted(middle) == [-990.0, 55.0]
+    (box,) = root.iter("box")
+    assert float(box.get("z", "")) == 2 * (2000 + 10)
 
 
 def test_slabs_end_where_their_parts_do() -> None:

@@ -206,6 +206,9 @@ class Layer(Placed, Bounded, ABC):
     hot_v: StripRanges = ()
     dead_seam: float = 0.0
     dead_ends: float = 0.0
+    ladders: int = 0
+    ladder_gap: float = 0.0  # mm
+    ladder_phi: float = 0.0  # rad
     sheet_shift_z: tuple[float, ...] = ()  # mm
     sheet_rotation: tuple[float, ...] = ()  # rad
     gain_map: tuple[tuple[tuple[float, ...], ...], ...] = ()
@@ -320,6 +323,11 @@ class Layer(Placed, Bounded, ABC):
         """Shift of each sheet along the beam in the layer, mm."""
         own = self.sheet_shift_z or (0.0,)
         return tuple(own[i % len(own)] for i in range(self.sheets))
+
+    @property
+    def ladder_first(self) -> float:
+        """X of the middle of a gap between ladders, mm."""
+        return self.r_readout * (self.ladder_phi - self.phi_first)
 
     def sheet_at(self, phi: Floats) -> Any:
         """Return the sheet of azimuths, (n,) int, each the one that begins last before it."""

@@ -84,6 +84,16 @@ class MeasurementLayer(Layer):
         default=math.pi / 2,
     )
     efficiency: float = field(metadata=key("dimensionless", "probability of a hit", 0.0, 1.0), default=1.0)
+    ladders: int = field(
+        metadata=key("integer", "ladders around the beam, of one width", 0, 10_000, quiet=True), default=0
+    )
+    ladder_gap: float = field(
+        metadata=key("length", "gap between two ladders, where nothing is measured", 0.0, 1000.0, quiet=True),
+        default=0.0,
+    )
+    ladder_phi: float = field(
+        metadata=key("angle", "azimuth of the middle of a gap", -2 * math.pi, 2 * math.pi, quiet=True), default=0.0
+    )
     sigma_time: float = field(metadata=key("time", "error of the time of a hit", 0.0, 1e6), default=0.0)
     readout: Readout = field(metadata=READOUT_KEY, hash=False)  # one from outside the package may have no hash
     strips_x: int = field(init=False)  # a whole number is around the beam
@@ -103,9 +113,10 @@ class MeasurementLayer(Layer):
         inclined = f" + {1000 * self.sigma_tan:.4g} um tan" if self.sigma_tan else ""
         measured = ", ".join(f"{names[view]} to {1000 * errors[view]:.4g} um{inclined}" for view in self.views)
         x0 = 100 * sum(shell.x0 for shell in self.shells())
+        ladders = f", {self.ladders} ladders {self.ladder_gap:g} mm apart" if self.ladders else ""
         return (
             f"r = {self.radius:g} mm, {self.length_text()}, {x0:.3g} % X0 of {self.material.name}, "
-            f"{measured or 'measures nothing'}{self.moved_text()}"
+            f"{measured or 'measures nothing'}{ladders}{self.moved_text()}"
         )
 
     @property
@@ -261,6 +272,12 @@ class MeasurementLayer(Layer):
                 given = f"{pitch:g} mm and sigma_{view} = {getattr(self, f'sigma_{view}'):g} mm"
                 expected = "one of them: strips have the error pitch/sqrt(12)"
                 problems.append(Problem(f"{path}.pitch_{view}", given, expected))
+        if (self.ladders > 0) != (self.ladder_gap > 0):
+            given = f"{self.ladders}, and ladder_gap = {self.ladder_gap:g} mm"
+            problems.append(Problem(f"{path}.ladders", given, "both above 0, or none of them"))
+        elif self.ladders and self.ladders * self.ladder_gap >= 2 * math.pi * self.radius:
+            expected = f"less than {2 * math.pi * self.radius / self.ladders:g} mm, the width of a ladder with its gap"
+            problems.append(Problem(f"{path}.ladder_gap", f"{self.ladder_gap:g} mm", expected))
         for view in self.views:
             if self.sigma_tan and not getattr(self, f"sigma_{view.lower()}"):
                 given = f"{self.sigma_tan:g} mm and no sigma_{view.lower()}"
@@ -296,5 +313,7 @@ class MeasurementLayer(Layer):
             "pitch_v_um": 1000 * self.pitch_v,
             "stereo_deg": math.degrees(self.stereo),
             "efficiency": self.efficiency,
+            "ladders": self.ladders,
+            "ladder_gap_mm": self.ladder_gap,
             "sigma_time_ns": self.sigma_time,
         }

@@ -499,7 +499,7 @@ class DriftChamber(Placed):
 
 
 def _crossed_wires(layers: Sequence[WireLayer], number: int) -> Problem | None:
-    """Return whether a layer crosses one inside of it at a z where both have wires.
+    """Return whether a layer crosses one inside of it at a z where both have wires, or has no such z with the next.
 
     The difference of the squares of the radii is quadratic in z: they are compared where it is smallest or largest, and
     at the ends of the part of z that both have. Layers inside of one that is as long as this one have been compared
@@ -509,6 +509,12 @@ def _crossed_wires(layers: Sequence[WireLayer], number: int) -> Problem | None:
     for inner in reversed(layers[:number]):
         ends = list(zip(inner.ends, outer.ends, strict=True))
         low, high = max(ends[0]), min(ends[1])
+        if low >= high:
+            if inner is layers[number - 1]:
+                low, high = outer.ends
+                expected = f"wires beside those of layer {inner.number}, which fill the chamber with it"
+                return Problem(outer.path, f"wires from z = {low:g} to {high:g} mm", expected)
+            continue
         for z in _turning_points(inner, outer, low, high):
             if outer.radius_at(z) <= inner.radius_at(z) + TOUCH:
                 given = f"wires at r = {outer.radius_at(z):g} mm at z = {z:g} mm"

@@ -16,7 +16,7 @@ from cgemit import _core
 from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Momentum, Quantity, Whole
-from cgemit.detector import Detector, WireLayer, load
+from cgemit.detector import Detector, WireLayer, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.particles.species import Species, hypothesis_name, hypothesis_of, is_hypothesis
 from cgemit.reconstruction.fit import FitSettings, compiled_matter
@@ -165,8 +165,8 @@ def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -
     settings : FindSettings
     """
     points = layers.points
-    near = [points[:, :-gap] & points[:, gap:] for gap in (1, _TWO)]
-    segments = np.any(np.concatenate(near, axis=1), axis=1) & (settings.method != "chamber")
+    pairs = np.array(_core.reconstruction.segment_pairs(compiled(detector)), np.int64).reshape(-1, 2)
+    segments = np.any(points[:, pairs[:, 0]] & points[:, pairs[:, 1]], axis=1) & (settings.method != "chamber")
     circles = (layers.across >= _circle_layers(detector, settings)) & (layers.along >= _TWO)
     least = _view_layers(detector, settings)
     if least is not None:
@@ -175,11 +175,7 @@ def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -
 
 
 def _circle_layers(detector: Detector, settings: FindSettings) -> int:
-    views = [layer.views for layer in detector.layers]
-    return _core.reconstruction.circle_layers(
-        axial=sum(layer.twist == 0 for layer in wire_layers(detector)), across=sum("X" in one for one in views),
-        single=any(len(one) == 1 for one in views), least_axial=settings.least_axial,
-    )  # fmt: skip
+    return _core.reconstruction.circle_layers(compiled(detector), least_axial=settings.least_axial)
 
 
 def _view_layers(detector: Detector, settings: FindSettings) -> Column | None:
@@ -207,10 +203,16 @@ def seedless(detector: Detector, settings: FindSettings | None = None) -> str:
     settings = FindSettings.of(settings)
     wires, views = wire_layers(detector), [layer.views for layer in detector.layers]
     x, v = (np.array([name in one for one in views], np.bool_) for name in "XV")
-    plus, minus = sum(layer.twist > 0 for layer in wires), sum(layer.twist < 0 for layer in wires)
-    across, along = len(wires) - plus - minus + int(x.sum()), plus + minus + int(v.sum())
-    whole = SeedLayers((x & v)[None], np.array([across]), np.array([along]), np.array([[plus, minus]]))
-    segments, circles = (bool(one[0]) for one in have_seeds(detector, whole, settings))
+    # Of straight tracks from the origin: where all layers are about z = 0, one across the beam crosses all of them.
+    low, high, r = np.array([(*one.ends, one.r_mid) for one in (*detector.layers, *wires)]).reshape(-1, 3).T
+    slope = np.append(low / r, 0.0)[:, None]
+    crossed, on_wires = np.split((low / r <= slope) & (slope < high / r), [len(views)], axis=1)
+    twist = np.sign([layer.twist for layer in wires])
+    axial, up, down = (on_wires[:, twist == sign].sum(axis=1) for sign in (0, 1, -1))
+    on_x, on_v = axial + crossed[:, x].sum(axis=1), up + down + crossed[:, v].sum(axis=1)
+    sets = SeedLayers(crossed & x & v, on_x, on_v, np.stack([up, down], axis=1))
+    segments, circles = (bool(one.any()) for one in have_seeds(detector, sets, settings))
+    across, along, plus, minus = (int(one.max()) for one in (on_x, on_v, up, down))
     if circles or (segments and not wires):
         return ""
     least = _circle_layers(detector, settings)

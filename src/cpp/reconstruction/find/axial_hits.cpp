@@ -38,12 +38,32 @@ double residual(const FoundCircle& c, double ux, double uy, const AxialPoint& p)
   return std::copysign(p.drift, left) - left;
 }
 
+bool is_axial(const WireLayer& layer) { return layer.twist == 0; }
+
+// How many axial layers of wires and layers with X one straight line from the origin crosses at most.
+int crossed_together(const Detector& detector) {
+  std::vector<Ends> slopes;
+  const auto add = [&slopes](const Ends& ends, double r) { slopes.push_back({ends.low / r, ends.high / r}); };
+  for (const MeasuringLayer& layer : detector.layers)
+    if (layer.has_x) add(layer.ends, layer.r_mid());
+  for (const WireLayer& layer : detector.wires)
+    if (is_axial(layer)) add(layer.ends, layer.r_end);
+  std::ptrdiff_t most = 0;
+  for (const Ends& first : slopes)
+    most = std::max(
+        most, std::ranges::count_if(slopes, [&first](const Ends& one) { return bool(one.hold(first.low)); }));
+  return static_cast<int>(most);
+}
+
 }  // namespace
 
-int circle_layers(int axial, int across, bool single, int least_axial) {
-  if (!single) return least_axial;
+int circle_layers(const Detector& detector, int least_axial) {
+  if (std::ranges::all_of(detector.layers, [](const auto& one) { return one.has_x == one.has_v; }))
+    return least_axial;
   // A track may leave through an end or turn back after three of them.
-  const int few = axial > 0 ? std::max(axial + across - 2, fewest_layers) : fewest_layers;
+  const int few = std::ranges::any_of(detector.wires, is_axial)
+                      ? std::max(crossed_together(detector) - 2, fewest_layers)
+                      : fewest_layers;
   return std::min(least_axial, few);
 }
 
@@ -60,6 +80,7 @@ AxialHits::AxialHits(const Detector& detector, const FindSettings& settings, int
       beside_(sign == 0 ? 0 : beside_view),
       max_d_(settings.max_d + (sign == 0 ? 0 : more_d)),
       bits_(detector.wires.size()),
+      of_circle_(circle_layers(detector, settings.least_axial)),
       slow_w_(std::abs(curvature(detector.bz, 1 / slow_pt))) {
   std::size_t number = detector.layers.size();
   for (std::size_t i = 0; i < bits_.size(); ++i)
@@ -83,15 +104,12 @@ void AxialHits::load(const EventHits& hits) {
   }
   const double share = layers > 0 ? occupancy / layers : 0;
   int across = 0;
-  bool single = false;
   for (const MeasuringLayer& plane : detector_.layers) {
     if (is_view()) break;
     across += plane.has_x ? 1 : 0;
-    single = single || plane.has_x != plane.has_v;
   }
   layers_ = layers + across;
-  const int least = is_view() ? view_layers(layers, settings_.least_axial)
-                              : circle_layers(layers, across, single, settings_.least_axial);
+  const int least = is_view() ? view_layers(layers, settings_.least_axial) : of_circle_;
   least_ = least + static_cast<int>(per_occupancy * share);
   too_many_ = least <= layers_ && layers_ < least_;
   least_slow_ = std::min(least_, slow_layers + static_cast<int>(per_occupancy_slow * share));

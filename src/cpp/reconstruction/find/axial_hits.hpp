@@ -73,6 +73,7 @@ class AxialHits {
   double max_d_;
   std::vector<std::uint64_t> bits_;  // of each layer of wires
   std::vector<AxialPoint> points_;
+  int of_circle_;  // layers that a circle needs, where no cells fire by chance
   double slow_w_;
   int least_ = 0, least_slow_ = 0, layers_ = 0;
   bool too_many_ = false;

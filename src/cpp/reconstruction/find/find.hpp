@@ -2,6 +2,8 @@
 // Kalman filter. Reads measurements only.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <tuple>
@@ -77,10 +79,16 @@ struct FindOutput {
   }
 };
 
+// Pairs of layers that one track may cross, the inner one first, with so many layers between them at most. Of
+// those between, layers about z = 0 count, and others if all lines through the pair cross them.
+using LayerPair = std::array<std::size_t, 2>;
+inline constexpr int between_two = 1;  // layers between those of a segment of two
+std::vector<LayerPair> layer_pairs(const Detector& detector, int most_between);
+
 // Layers that a circle from the beam line needs, where no cells fire by chance: of axial wires and with X.
-// `axial`, `across`: such layers of the detector; `single`: whether it has layers of one coordinate, of which
-// no segments are made, so that all that measure across the beam may be few.
-int circle_layers(int axial, int across, bool single, int least_axial);
+// Where layers of the detector measure one coordinate, of which no segments are made, all that a track
+// crosses may be few.
+int circle_layers(const Detector& detector, int least_axial);
 // Layers of one stereo sign that a circle of this view needs, of so many of them.
 int view_layers(int layers, int least_axial);
 

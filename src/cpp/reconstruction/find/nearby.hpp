@@ -55,7 +55,8 @@ class NearbyHits {
       const double edge = layer.dead_seam > 0 ? seam + 0.5 * layer.dead_seam : seam;
       const bool whole = layer.sheets == 1 && layer.dead_seam == 0;
       const bool on = whole || (x > edge && x < layer.sheet_width() - edge);
-      if (on && layer.ends.hold(at.z, -layer.dead_ends - seam)) expected_[number(step)] = true;
+      if (on && !layer.between_ladders(x, seam) && layer.ends.hold(at.z, -layer.dead_ends - seam))
+        expected_[number(step)] = true;
     }
     for (const View view : {View::x, View::v}) {
       for (std::int32_t id = hits_->first(index, view); id < hits_->last(index, view); ++id) {

@@ -18,15 +18,53 @@ constexpr double slowed = 1.6;   // momentum at the origin over that in the segm
 constexpr double slow_d = 15;    // mm, of slower particles from the beam line
 // Of a circle and of its score, in combinations of two clusters.
 constexpr std::int64_t work_of_circle = 10, work_of_score = 40;
+constexpr int between_three = 2;  // layers between the outer ones of three
+
+// Whether no track crosses both: parts that lie beside each other at about the same radius.
+bool lie_beside(const MeasuringLayer& inner, const MeasuringLayer& outer) {
+  const bool apart = inner.ends.high <= outer.ends.low || outer.ends.high <= inner.ends.low;
+  return apart && outer.r_gap_in < inner.r_gap_out;
+}
+
+bool is_about_zero(const MeasuringLayer& layer) { return layer.ends.hold(0.0); }
+
+// Whether a track through two layers crosses one between them: on a straight line, if one ends beside z = 0.
+bool counts_between(const MeasuringLayer& inner, const MeasuringLayer& layer, const MeasuringLayer& outer) {
+  if (is_about_zero(inner) && is_about_zero(layer) && is_about_zero(outer)) return true;
+  const double share = (layer.r_mid() - inner.r_mid()) / (outer.r_mid() - inner.r_mid());
+  return layer.ends.low <= std::lerp(inner.ends.low, outer.ends.low, share) &&
+         std::lerp(inner.ends.high, outer.ends.high, share) <= layer.ends.high;
+}
 
 }  // namespace
+
+std::vector<LayerPair> layer_pairs(const Detector& detector, int most_between) {
+  const std::vector<MeasuringLayer>& layers = detector.layers;
+  std::vector<LayerPair> pairs;
+  for (std::size_t inner = 0; inner < layers.size(); ++inner)
+    for (std::size_t outer = inner + 1; outer < layers.size(); ++outer) {
+      if (lie_beside(layers[inner], layers[outer])) continue;
+      int between = 0;
+      for (std::size_t i = inner + 1; i < outer && between <= most_between; ++i)
+        between += counts_between(layers[inner], layers[i], layers[outer]) ? 1 : 0;
+      if (between <= most_between) pairs.push_back({inner, outer});
+    }
+  return pairs;
+}
 
 SegmentFinder::SegmentFinder(const Detector& detector, const FindSettings& settings)
     : detector_(detector),
       settings_(settings),
+      twos_(layer_pairs(detector, between_two)),
       largest_w_(std::abs(curvature(detector.bz, 1 / settings.min_pt))),
       points_(detector.layers.size()),
-      score_(detector, settings) {}
+      score_(detector, settings) {
+  const std::vector<MeasuringLayer>& layers = detector.layers;
+  for (const auto& [inner, outer] : layer_pairs(detector, between_three))
+    for (std::size_t middle = inner + 1; middle < outer; ++middle)
+      if (!lie_beside(layers[inner], layers[middle]) && !lie_beside(layers[middle], layers[outer]))
+        threes_.push_back({inner, middle, outer});
+}
 
 void SegmentFinder::load(const EventHits& hits, bool all) {
   all_ = all;
@@ -67,11 +105,8 @@ auto SegmentFinder::heights(const EventHits& hits, std::size_t layer, const Poin
 const std::vector<FindSeed>& SegmentFinder::three_layers(const EventHits& hits, bool all) {
   load(hits, all);
   score_.start(hits);
-  const std::size_t layers = points_.size();
-  for (std::size_t inner = 0; inner + 2 < layers; ++inner)
-    for (std::size_t outer = inner + 2; outer < std::min(layers, inner + 4); ++outer)
-      for (std::size_t middle = inner + 1; middle < outer; ++middle)
-        if (!three_of({inner, middle, outer}, hits)) return ranked();
+  for (const Layers& layers : threes_)
+    if (!three_of(layers, hits)) break;
   return ranked();
 }
 
@@ -187,14 +222,13 @@ const std::vector<FindSeed>& SegmentFinder::tracks(const EventHits& hits) {
 
 const std::vector<FindSeed>& SegmentFinder::two_layers(const EventHits& hits) {
   load(hits, false);
-  for (std::size_t inner = 0; inner < points_.size(); ++inner)
-    for (std::size_t outer = inner + 1; outer < std::min(points_.size(), inner + 3); ++outer)
-      for (const Point& a : points_[inner])
-        for (const Point& c : points_[outer]) {
-          if (too_much()) return ranked();
-          ++work_;
-          two(inner, outer, a, c, hits);
-        }
+  for (const auto& [inner, outer] : twos_)
+    for (const Point& a : points_[inner])
+      for (const Point& c : points_[outer]) {
+        if (too_much()) return ranked();
+        ++work_;
+        two(inner, outer, a, c, hits);
+      }
   return ranked();
 }
 

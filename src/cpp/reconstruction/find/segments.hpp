@@ -81,6 +81,8 @@ class SegmentFinder {
 
   const Detector& detector_;
   const FindSettings& settings_;
+  std::vector<Layers> threes_;
+  std::vector<LayerPair> twos_;
   double largest_w_;  // 1/mm, of the smallest transverse momentum
   std::vector<std::vector<Point>> points_;
   std::array<std::span<const Height>, 3> heights_;  // of the clusters of a circle or pair

@@ -77,7 +77,8 @@ void add_hot_cells(const Detector& detector, const Stream& stream, std::int64_t 
 
 bool in_dead_area(const MeasuringLayer& layer, double x, double z) {
   const double beside = std::min(x, layer.sheet_width() - x);
-  return beside < 0.5 * layer.dead_seam || (layer.dead_ends > 0 && !layer.ends.hold(z, -layer.dead_ends));
+  return beside < 0.5 * layer.dead_seam || layer.between_ladders(x) ||
+         (layer.dead_ends > 0 && !layer.ends.hold(z, -layer.dead_ends));
 }
 
 // Clusters at points of a layer that are uniform in azimuth and z.

@@ -170,6 +170,7 @@ class Flight {
 
   void arrive(const Mask& arrived) {
     time_ += select(arrived, flight_time(arc_), T(0.0));
+    flown_ += select(arrived, arc_, T(0.0));
     decay(arrived & (time_ >= decay_time_));
     if constexpr (!Motion::keeps_dip) follow_dip(arrived);
   }
@@ -241,7 +242,8 @@ class Flight {
     Point entry = point_;
     T arc(0.0), rest(0.0);
     const Mask met = motion_.to_cylinder(entry, layer.r_gap_in, arc, true, who);
-    const Mask enters = met & (arc >= 0.0);
+    // The entry is not before the start. It lies behind where another part ends at about the same radius.
+    const Mask enters = met & (flown_ + arc >= 0.0);
     const Mask arrived = reach(slab.radius, who);
     if (!any(arrived)) return;
     Point exit = point_;
@@ -287,6 +289,7 @@ class Flight {
   Motion motion_;
   StreamOf<T> stream_;
   T charge_, time_{0.0}, arc_{0.0}, deposit_{0.0};
+  T flown_{0.0};  // mm, sum of the arcs
   Point point_;
   T sec_lambda_{1.0};  // path per transverse arc; below 0 back in time
   T ahead_;            // index of the first surface ahead
