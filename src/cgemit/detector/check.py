@@ -181,8 +181,6 @@ def _unreached(ends: tuple[float, float], first: float, last: float) -> str:
     below, above = first > ends[0], last < ends[1]
     if not (below or above):
         return ""
-    if first >= ends[1] or last <= ends[0]:
-        return f"no track from the origin reaches it: the field ends at z = {last if above else first:g} mm"
     places = [f"z below {first:g} mm"] * below + [f"z above {last:g} mm"] * above
     return f"no track from the origin reaches {' and '.join(places)}: the field ends there"
 

@@ -66,15 +66,34 @@ void share_loss(Detector& detector, std::span<const double> variances, const Kin
   }();
   const double sec = std::sqrt(1 + tanl * tanl), kappa = sec / start.p;
   const double w = curvature(detector.bz, kappa);
+  // Slabs on one side of z = 0 may not be crossed: their like is the next slab that is.
+  const auto is_crossed = [&](std::size_t i) {
+    const Ends& ends = detector.slabs[i].ends;
+    return (ends.low < 0 && ends.high > 0) || variances[i] > 0;
+  };
   Kinematics k = start;
   for (std::size_t i = 0; i < variances.size(); ++i) {
     Slab& slab = detector.slabs[i];
+    if (!is_crossed(i)) continue;
     const double slant = std::min(0.5 * std::abs(w) * slab.radius, 0.99);
     const LossMoments moments = core_loss(slab, sec / std::sqrt(1 - slant * slant), k, track);
     if (!(moments.variance > 0) || slab.unseen == 0) continue;
     const double noise = kappa * std::sqrt(moments.variance) * k.energy * k.per_p * k.per_p;
     set_unseen(slab, std::min(std::sqrt(variances[i]) / noise, 1.0));
     k = k.after_loss(moments.loss);
+  }
+  for (std::size_t i = 0; i < variances.size(); ++i) {
+    Slab& slab = detector.slabs[i];
+    if (is_crossed(i)) continue;
+    double apart = HUGE_VAL, share = slab.unseen;
+    for (std::size_t n = 0; n < variances.size(); ++n) {
+      const Slab& other = detector.slabs[n];
+      const double off = std::abs(other.radius - slab.radius);
+      if (off >= apart || !is_crossed(n) || other.filler != slab.filler) continue;
+      apart = off;
+      share = other.unseen;
+    }
+    set_unseen(slab, share);
   }
 }
 

@@ -174,10 +174,15 @@ void share_scattering(Detector& detector, std::span<const std::array<double, 5>>
   double last = detector.layers.empty() && detector.wires.empty() ? HUGE_VAL : 0;
   for (const MeasuringLayer& layer : detector.layers) last = std::max(last, layer.r_readout);
   for (const WireLayer& layer : detector.wires) last = std::max(last, std::sqrt(layer.waist));
+  // Slabs on one side of z = 0 may not be crossed: their like is the next slab that is.
+  const auto is_crossed = [&](std::size_t i) {
+    const Ends& ends = detector.slabs[i].ends;
+    return (ends.low < 0 && ends.high > 0) || std::ranges::any_of(parts[i], [](double v) { return v > 0; });
+  };
   double before = 0;  // chi_c^2
   std::array<double, 5> scattered{};
   for (std::size_t i = 0; i < parts.size(); ++i) {
-    if (detector.slabs[i].radius < last) before += detector.slabs[i].chi_c2;
+    if (detector.slabs[i].radius < last && is_crossed(i)) before += detector.slabs[i].chi_c2;
     for (std::size_t k = 0; k < scattered.size(); ++k) scattered[k] += parts[i][k];
   }
   for (std::size_t i = 0; i < parts.size(); ++i) {
@@ -191,6 +196,16 @@ void share_scattering(Detector& detector, std::span<const std::array<double, 5>>
     }
     if (weights > 0 && slab.radius < last)
       slab.acting = std::min(before, slab.chi_c2 * std::exp(logarithms / weights));
+  }
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    if (is_crossed(i) || !(detector.slabs[i].radius < last)) continue;
+    double apart = HUGE_VAL;
+    for (std::size_t k = 0; k < parts.size(); ++k) {
+      const double off = std::abs(detector.slabs[k].radius - detector.slabs[i].radius);
+      if (off >= apart || !is_crossed(k) || detector.slabs[k].filler != detector.slabs[i].filler) continue;
+      apart = off;
+      detector.slabs[i].acting = detector.slabs[k].acting;
+    }
   }
 }
 

@@ -265,15 +265,15 @@ def test_rows_on_one_side(tmp_path):
     detector = cg.load(card(tmp_path, rows))
     assert [layer.ends for layer in detector.layers][:3] == [(-1000, -200), (-200, 100), (100, 1000)]
     assert {layer.radius for layer in detector.layers[:3]} == {30}
-    assert {layer.thickness for layer in detector.layers} == {0.2}
+    assert [layer.thickness for layer in detector.layers] == pytest.approx([0.2] * 18)
     assert detector.walls["COIL"].ends == (300, 1200)
     assert detector.walls["TRUNK"].thickness == pytest.approx(2)
     again = tmp_path / "again.tcl"
     again.write_text(card_of(detector))
     back = cg.load(again)
-    assert [(one.ends, one.radius, one.errors) for one in back.layers] == [
-        (one.ends, one.radius, one.errors) for one in detector.layers
-    ]
+    for mine, its in zip(detector.layers, back.layers, strict=True):
+        assert (its.ends, its.errors) == (mine.ends, mine.errors)
+        assert its.radius == pytest.approx(mine.radius, rel=1e-9)
     for one in (detector, back):  # by hand: six sensors, and the coil or the trunk
         for tanl, beyond in ((1.3, 0.08 / 0.08), (-1.3, 0.002 / 0.02)):
             found = _core.matter.total_matter(compiled(one), tanl)[0] / math.hypot(1, tanl)
@@ -286,8 +286,8 @@ def test_a_card_of_halves_has_the_resolutions_of_the_whole(tmp_path):
         sigma = [
             cg.analytic(one, "mu-", p=1.0, cos_theta=[-0.8, -0.3, 0.0, 0.8]).sigma(what) for one in (whole, halves)
         ]
-        assert sigma[1] == pytest.approx(sigma[0], rel=1e-3)
-        assert sigma[0][0] == pytest.approx(sigma[0][3], rel=1e-6)
+        assert sigma[1] == pytest.approx(sigma[0], rel=5e-4)
+        assert sigma[1][0] == pytest.approx(sigma[1][3], rel=5e-4)
 
 
 def test_a_card_is_a_base(tmp_path):
