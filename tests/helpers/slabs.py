@@ -115,10 +115,13 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
     columns |= {"gap": columns["gap"].astype(np.int32), "filler": np.zeros(len(rows), np.uint8)}
     layer = {"r_gap_in": -2.5, "r_gap_out": 2.5, "r_readout": 9.0, "z_min": -half_length, "z_max": half_length,
              "pitch_x": 0.65, "pitch_v": 0.65, "stereo": 0.8, "offset_v": 0.0, "dead_seam": 0.0, "dead_ends": 0.0,
-             "ladders": 0, "ladder_gap": 0.0, "ladder_first": 0.0,
+             "ladder_gap": 0.0, "ladder_first": 0.0,
              "lorentz_shift": 0.0, "slope": 0.0}  # fmt: skip
     cgem = {k: np.full(n_gaps, v + (gap_radius or 0) * k.startswith("r_")) for k, v in layer.items()}
-    cgem |= {k: np.full(n_gaps, v, np.int32) for k, v in (("sheets", 1), ("strips_x", 800), ("strips_v", 900))}
+    cgem |= {
+        k: np.full(n_gaps, v, np.int32)
+        for k, v in (("sheets", 1), ("strips_x", 800), ("strips_v", 900), ("ladders", 0))
+    }
     cgem |= {"has_x": np.ones(n_gaps, bool), "has_v": np.ones(n_gaps, bool)}
     cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, _core.calibration.MOST_SHEETS))}
     cgem |= gem_toy.in_place("placement", n_gaps)
