@@ -16,6 +16,7 @@ from .calibration.clusters import cluster_error_factors as cluster_error_factors
 from .calibration.clusters import lorentz_angles as lorentz_angles
 from .calibration.forecast import AlignmentForecast as AlignmentForecast
 from .calibration.forecast import alignment_forecast as alignment_forecast
+from .calibration.mille import write_mille as write_mille
 from .calibration.settings import AlignmentSettings as AlignmentSettings
 from .chain.executor import Workers as Workers
 from .chain.result import Result as Result

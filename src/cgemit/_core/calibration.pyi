@@ -26,5 +26,6 @@ def sums(
     prior_sigma: Sequence[float],
     bias: bool = False,
     scattering: bool = True,
+    innovations: bool = False,
     scalar: bool = False,
 ) -> dict[str, Any]: ...

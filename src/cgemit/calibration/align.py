@@ -12,21 +12,23 @@ import numpy as np
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.bes3.events import Bes3Events
-from cgemit.calibration.constants import FIELD, LORENTZ, Constant
-from cgemit.calibration.modes import Modes, Solution, solve
+from cgemit.bes3.refit import KINDS, Kind
+from cgemit.calibration.constants import Constant
+from cgemit.calibration.modes import Determined, Solution, solve
 from cgemit.calibration.settings import AlignmentSettings, plan_of
 from cgemit.calibration.sums import Sums, fitted_sums, residual_means
 from cgemit.chain.executor import Workers, pool_of
 from cgemit.chain.result import Result
 from cgemit.chain.settings import find_settings, fit_settings
 from cgemit.detector import Detector, load
-from cgemit.detector.alignment import AlignmentTable
-from cgemit.detector.variants import value_at
+from cgemit.detector.alignment import AlignmentTable, value_of
+from cgemit.detector.drift import read_by as hits_read_by
 from cgemit.reconstruction.candidates import by_finder
+from cgemit.reconstruction.cluster import read_by as clusters_read_by
 from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import Table
-from cgemit.tables.show import Shown, Tabular
+from cgemit.tables.show import Tabular
 
 #: Tables that alignment takes.
 TAKES = ("clusters", "wire_hits", "candidates", "candidate_hits")
@@ -57,7 +59,7 @@ class Iteration(Tabular):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Alignment(Shown, Tabular):
+class Alignment(Determined):
     """Constants of a detector from tracks.
 
     Attributes
@@ -103,20 +105,6 @@ class Alignment(Shown, Tabular):
     at_limits: tuple[str, ...]
     residuals: tuple[Mapping[str, tuple[float, float]], Mapping[str, tuple[float, float]]]
 
-    @property
-    def cov(self) -> Floats:
-        """Covariance of the free constants, (n, n) float64; 0 in the zero modes."""
-        return self.solution.cov
-
-    @property
-    def zero_modes(self) -> tuple[str, ...]:
-        """Names of the combinations that the data do not determine."""
-        return self.solution.zero_modes
-
-    def modes(self, number: int = 5) -> Modes:
-        """Return the weakest modes."""
-        return self.solution.modes(number)
-
     def compare(self, real: Detector) -> Floats:
         """Return the pulls of the free constants against a detector whose constants are known, (n,); for studies.
 
@@ -128,10 +116,6 @@ class Alignment(Shown, Tabular):
         value = np.array(self.table.value[: len(true)])
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray((value - true) / self.solution.err)
-
-    def columns(self) -> dict[str, tuple[object, ...]]:
-        """Return the table as columns."""
-        return self.table.columns()
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         title, head, rows = self.table._table()
@@ -151,10 +135,8 @@ class Alignment(Shown, Tabular):
 
 
 def _difference(before: Detector, real: Detector, constant: Constant) -> float:
-    if constant.name == FIELD:
-        return float(np.log(real.field.bz / before.field.bz))
-    a, b = value_at(before, constant.name), value_at(real, constant.name)
-    return float((b[0] if b else 0.0) or 0.0) - float((a[0] if a else 0.0) or 0.0)
+    a, b = (value_of(detector, constant.name) for detector in (before, real))
+    return (b[0] if b else 0.0) - (a[0] if a else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +158,7 @@ def align(
     *,
     detector: Detector | str | Mapping[str, Any] | None = None,
     fit: FitSettings | None = None,
+    reference: Kind | None = None,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Alignment:
@@ -187,12 +170,15 @@ def align(
     Parameters
     ----------
     runs : Result, Bes3Events, mapping of str to Table, or a sequence of these
-        A mapping holds ``clusters``, ``wire_hits``, ``candidates`` and ``candidate_hits``.
+        A mapping holds ``clusters``, ``wire_hits``, ``candidates`` and ``candidate_hits``, and may hold ``reference``:
+        tracks of these candidates that are known otherwise, of another program or detector, with their errors.
     settings : AlignmentSettings or None
     detector : Detector, what `load` accepts, or None
         Description to be corrected. None: that of the reconstruction of the first run, or of the events.
     fit : FitSettings or None
         None: those of each run.
+    reference : str or None
+        Tracks of the experiment that tracks of `Bes3Events` are to agree with: ``"kal"`` or ``"mdc"``. None: none.
     threads : int or None
         That sum; None: one for each core.
     progress : callable or None
@@ -217,27 +203,26 @@ def align(
     """
     settings = AlignmentSettings.of(settings)
     given = list(runs) if isinstance(runs, Sequence) else [runs]
-    before, sources = _sources(given, detector, fit)
+    before, sources = sources_of(given, detector, fit, reference)
     free, fixed, priors = plan_of(before, settings)
     total, history, improvement = np.zeros(len(free)), list[Iteration](), 0.0
     low, high = _limits(before, free)
-    now, converged, first, zero = before, False, 0.0, tuple[str, ...]()
+    now, converged, first, zero, unseen = before, False, 0.0, tuple[str, ...](), tuple[str, ...]()
     with pool_of(Workers(threads=threads)) as pool:
         for number in range(settings.iterations):
             pull = settings.outlier_pull[min(number, len(settings.outlier_pull) - 1)]
             sums = Sums.none(len(free))
             for source in sources:
-                tables = _tables(source, now)
-                cosmic = "cosmic" in settings.pairs
+                tables = tables_of(source, now)
                 tuned = replace(source.fit, outlier_pull=pull)
-                sums = sums + fitted_sums(
-                    now, tables, free, tuned, cosmic=cosmic, scattering=settings.scattering, pool=pool
-                )
+                sums = sums + fitted_sums(now, tables, free, tuned, settings=settings, pool=pool)
             if sums.tracks <= len(free):
                 problem = f"tracks: got {sums.tracks} that are fitted, expected more than the {len(free)} constants"
                 raise ValueError(f"align:\n  {problem}")
             constrain = settings.zero_modes == "constrained"
-            found = solve(now, free, sums, priors, total, constrain=constrain, zero=zero)
+            found = solve(now, free, sums, priors, total, constrain=constrain, zero=zero, unseen=unseen)
+            if number == 0:
+                unseen = tuple(one.name for one, seen in zip(free, sums.measured, strict=True) if seen == 0)
             zero = (*zero, *(name for name in found.zero_modes if name not in zero))
             wanted = np.clip(total + found.value, low, high)
             step, total = wanted - total, wanted
@@ -257,7 +242,7 @@ def align(
                 break
 
     def residuals(described: Detector) -> Mapping[str, tuple[float, float]]:
-        return residual_means(described, _tables(sources[0], described), sources[0].fit)
+        return residual_means(described, tables_of(sources[0], described), sources[0].fit)
 
     at_limits = tuple(one.name for one, value, a, b in zip(free, total, low, high, strict=True) if value in (a, b))
     result = Alignment(
@@ -280,22 +265,25 @@ def _limits(detector: Detector, constants: Sequence[Constant]) -> tuple[Floats, 
     """Return the ends of the range of each constant, as changes of the description, each (n,)."""
     low, high = [], []
     for one in constants:
-        found = value_at(detector, one.name)
-        if one.name == FIELD or found is None:
-            low.append(-0.5)
-            high.append(0.5)
-            continue
-        value, limits = found
-        low.append(limits.low - float(value or 0.0))
-        high.append(limits.high - float(value or 0.0))
+        found = value_of(detector, one.name)
+        assert found is not None
+        low.append(found[1])
+        high.append(found[2])
     return np.array(low), np.array(high)
 
 
-def _sources(
-    given: Sequence[object], detector: Detector | str | Mapping[str, Any] | None, fit: FitSettings | None
+def sources_of(
+    given: Sequence[object],
+    detector: Detector | str | Mapping[str, Any] | None,
+    fit: FitSettings | None,
+    reference: Kind | None = None,
 ) -> tuple[Detector, list[_Source]]:
     """Return the description to be corrected, and the runs."""
     problems, found = Problems(), list[_Source]()
+    if reference is not None and (reference not in KINDS or not any(isinstance(one, Bes3Events) for one in given)):
+        problems.note(
+            "reference", repr(reference), f"one of {', '.join(map(repr, KINDS))}, and events of the experiment"
+        )
     before = None if detector is None else load(detector)
     if fit is not None:
         FitSettings.of(fit, "fit")
@@ -315,8 +303,12 @@ def _sources(
         elif isinstance(one, Bes3Events):
             described = one.detector
             tables = {name: getattr(one, name) for name in TAKES}
+            if reference is not None:
+                tables["reference"] = one.kal_tracks if reference == "kal" else one.mdc_tracks
         elif isinstance(one, Mapping):
-            tables = {name: one.get(name) for name in TAKES}
+            tables = {name: one.get(name) for name in TAKES} | (
+                {"reference": one["reference"]} if "reference" in one else {}
+            )
             if described is None:
                 problems.note("detector", "none", "the description that made the tables")
         else:
@@ -347,10 +339,11 @@ def _note_shared(given: Sequence[object], problems: Problems) -> None:
                 problems.note(f"runs[{number}]", text, "another seed: smearing depends on seed and event alone")
 
 
-def _tables(source: _Source, now: Detector) -> Mapping[str, Table]:
+def tables_of(source: _Source, now: Detector) -> Mapping[str, Table]:
     """Return the tables of a run with the present constants: clusters shifted, tracks found anew."""
     tables = dict(source.tables)
-    tables["clusters"] = _shifted(tables["clusters"], source.described, now)
+    tables["clusters"] = clusters_read_by(now, source.described, tables["clusters"])
+    tables["wire_hits"] = hits_read_by(now, source.described, tables["wire_hits"])
     if source.find is not None:
 
         def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
@@ -358,21 +351,3 @@ def _tables(source: _Source, now: Detector) -> Mapping[str, Table]:
 
         tables |= by_finder(ckf, now, tables["clusters"], tables["wire_hits"])
     return tables
-
-
-def _shifted(clusters: Table, described: Detector, now: Detector) -> Table:
-    """Return clusters with the Lorentz shifts of another description."""
-    change = np.array([_lorentz(b) - _lorentz(a) for a, b in zip(described.layers, now.layers, strict=True)])
-    if not np.any(change):
-        return clusters
-    stereo = np.array([np.cos(layer.stereo) for layer in now.layers])
-    radius = np.array([layer.r_readout for layer in now.layers])
-    layer = clusters["layer"]
-    return clusters.with_columns(
-        x=clusters["x"] - change[layer], v=clusters["v"] - (change * stereo)[layer],
-        phi=clusters["phi"] - (change / radius)[layer],
-    )  # fmt: skip
-
-
-def _lorentz(layer: Any) -> float:
-    return float(getattr(layer, LORENTZ, None) or 0.0)

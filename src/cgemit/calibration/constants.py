@@ -11,10 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.detector import Detector
+from cgemit.detector.alignment import hat, points_of_relation
+from cgemit.detector.drift import relation_of
 from cgemit.detector.layers import CgemLayer
 from cgemit.detector.layers.layer import PLACEMENT
+from cgemit.detector.layers.wires import END_SHIFT
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.units import QuantityError, parse_quantity
 
@@ -22,6 +26,8 @@ Ints = npt.NDArray[np.int32]
 
 #: Constants of a CGEM layer and of the field, which are asked for by their own names.
 LORENTZ, FIELD = "lorentz_shift", "field.scale"
+#: mm, of the tables in which the core looks up what a constant does to a drift distance.
+_DRIFT_STEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -31,17 +37,16 @@ class Constant:
     Attributes
     ----------
     name : str
-        Dotted key of the detector file, such as ``"cgem.L1.shift_x"``; ``"field.scale"`` is ln of the field over that
-        of the description.
+        Dotted key of the detector file, such as ``"cgem.L1.shift_x"``, or a name of docs/methods/alignment.md.
     unit : str
-        ``"mm"``, ``"rad"``, or empty for a pure number.
-    column : (str, tuple of int)
-        Array of the core that holds its column, and where.
+        ``"mm"``, ``"rad"``, ``"ns"``, or empty for a pure number.
+    columns : tuple of (str, tuple of int)
+        Arrays of the core that hold its column, and where.
     """
 
     name: str
     unit: str
-    column: tuple[str, tuple[int, ...]]
+    columns: tuple[tuple[str, tuple[int, ...]], ...]
 
     @property
     def part(self) -> str:
@@ -54,37 +59,75 @@ class Constant:
         return self.name.rpartition(".")[2]
 
 
-def constants_of(detector: Detector) -> tuple[Constant, ...]:
+def constants_of(detector: Detector, plates: Sequence[int] = ()) -> tuple[Constant, ...]:
     """Return all constants of a detector, from the beam line outward.
 
     Parameters
     ----------
     detector : Detector
+    plates : sequence of int
+        Numbers of wire layers that share a pair of end plates, from the inside.
     """
-    return tuple(_constants(detector))
+    return tuple(_constants(detector, plates))
 
 
-def _constants(detector: Detector) -> Iterator[Constant]:
+def _constants(detector: Detector, plates: Sequence[int]) -> Iterator[Constant]:
     for number, layer in enumerate(detector.layers):
-        path = f"{layer.group}.{layer.label}"
-        yield from _rigid(path, "layers", number)
+        yield from _rigid(layer.path, "layers", number)
+        if not isinstance(layer, CgemLayer):
+            continue
+        for sheet in range(layer.sheets):
+            for key, i in (("shift_z", 2), ("rotation", 5)):
+                name = f"{layer.path}.sheets.{sheet}.{key}"
+                yield Constant(name, _unit(key), (("sheets", (number, sheet, i)),))
         # With an analog readout electrons drift in the simulation; their shift is no constant of the description.
-        if isinstance(layer, CgemLayer) and not isinstance(layer.readout, AnalogReadout):
-            yield Constant(f"{path}.{LORENTZ}", "mm", ("lorentz", (number,)))
-    if detector.drift_chamber is not None and detector.drift_chamber.layers:
+        if not isinstance(layer.readout, AnalogReadout):
+            yield Constant(f"{layer.path}.{LORENTZ}", "mm", (("lorentz", (number,)),))
+    chamber = detector.drift_chamber
+    if chamber is not None and chamber.layers:
         yield from _rigid("drift_chamber", "chamber", 0)
-        for number, wires in enumerate(detector.drift_chamber.layers):
-            path = f"drift_chamber.layers.{wires.number}"
-            yield from _rigid(path, "wires", number)
-            for end in ("east", "west"):
-                for key, i in (("shift_x", 0), ("shift_y", 1), ("rotation", 5)):
-                    yield Constant(f"{path}.{end}_{key}", "mm" if i < 5 else "rad", (end, (number, i)))
-    yield Constant(FIELD, "", ("field", (0,)))
+        for first, last in _plates(plates):
+            inside = range(first, min(last, len(chamber.layers)))
+            if not len(inside):
+                continue
+            path = f"drift_chamber.plates.{chamber.layers[inside[0]].number}-{chamber.layers[inside[-1]].number}"
+            for key, end, i in _ends():
+                yield Constant(f"{path}.{key}", _unit(key), tuple((end, (number, i)) for number in inside))
+        points = points_of_relation(detector)
+        for number, wires in enumerate(chamber.layers):
+            yield from _rigid(wires.path, "wires", number)
+            for key, end, i in _ends():
+                yield Constant(f"{wires.path}.{key}", _unit(key), ((end, (number, i)),))
+            yield Constant(f"{wires.path}.t0", "ns", (("drift", (number, 0)),))
+            for k, distance in enumerate(points):
+                yield Constant(f"{wires.path}.drift_relation.{distance}mm", "ns", (("drift", (number, 1 + k)),))
+        every = range(len(chamber.layers))
+        for k, distance in enumerate(points):
+            columns = tuple(("drift", (number, 1 + len(points) + k)) for number in every)
+            yield Constant(f"drift_chamber.drift_relation.{distance}mm", "ns", columns)
+    yield Constant(FIELD, "", (("field", (0,)),))
+
+
+def _ends() -> Iterator[tuple[str, str, int]]:
+    for end in ("east", "west"):
+        for key, i in (("shift_x", 0), ("shift_y", 1), ("rotation", 5)):
+            yield f"{end}_{key}", end, i
+
+
+def _unit(key: str) -> str:
+    return "rad" if key.endswith(("tilt_x", "tilt_y", "rotation")) else "mm"
+
+
+def _plates(plates: Sequence[int]) -> Iterator[tuple[int, int]]:
+    last = 0
+    for number in plates:
+        yield last, last + number
+        last += number
 
 
 def _rigid(path: str, array: str, number: int) -> Iterator[Constant]:
     for i, key in enumerate(PLACEMENT):
-        yield Constant(f"{path}.{key}", "mm" if key.startswith("shift") else "rad", (array, (number, i)))
+        yield Constant(f"{path}.{key}", _unit(key), ((array, (number, i)),))
 
 
 def matches(constant: Constant, pattern: str) -> bool:
@@ -98,7 +141,8 @@ def matches(constant: Constant, pattern: str) -> bool:
     """
     if _fits(constant.name, pattern):
         return True
-    return constant.key in PLACEMENT and _fits(constant.part, pattern)
+    displaces = constant.key in (END_SHIFT if ".plates." in constant.name else PLACEMENT)
+    return displaces and _fits(constant.part, pattern)
 
 
 def _fits(name: str, pattern: str) -> bool:
@@ -129,7 +173,7 @@ def chosen(constants: Sequence[Constant], patterns: Sequence[str], path: str, pr
 
 
 def priors_of(constants: Sequence[Constant], given: Sequence[str], problems: Problems) -> dict[str, float]:
-    """Return the errors of surveys by the names of constants, mm, rad or 1.
+    """Return the errors of surveys by the names of constants, mm, rad, ns or 1.
 
     Parameters
     ----------
@@ -147,7 +191,7 @@ def priors_of(constants: Sequence[Constant], given: Sequence[str], problems: Pro
             problems.note("priors", repr(text), "a part or a constant, and its error: 'cgem.*.shift_z=100 um'")
             continue
         for one in named:
-            kind = {"mm": "length", "rad": "angle"}.get(one.unit, "dimensionless")
+            kind = {"mm": "length", "rad": "angle", "ns": "time"}.get(one.unit, "dimensionless")
             try:
                 error = parse_quantity(value, kind)
             except QuantityError as error_of_text:
@@ -172,18 +216,34 @@ def columns_of(detector: Detector, constants: Sequence[Constant]) -> dict[str, A
     """
     layers = len(detector.layers)
     chamber = detector.drift_chamber
-    wires = len(chamber.layers) if chamber is not None else 0
+    wires = chamber.layers if chamber is not None else ()
+    changes = _drift_changes(detector, constants)
     shapes: Mapping[str, tuple[int, ...]] = {
         "layers": (layers, 6), "sheets": (layers, _core.calibration.MOST_SHEETS, 6), "chamber": (1, 6),
-        "wires": (wires, 6), "east": (wires, 6), "west": (wires, 6), "lorentz": (layers,), "z_scale": (layers,),
-        "drift": (wires, 0), "field": (1,),
+        "wires": (len(wires), 6), "east": (len(wires), 6), "west": (len(wires), 6), "lorentz": (layers,),
+        "z_scale": (layers,), "drift": changes.shape[:2], "field": (1,),
     }  # fmt: skip
     arrays: dict[str, Ints] = {name: np.full(shape, -1, np.int32) for name, shape in shapes.items()}
     for number, one in enumerate(constants):
-        name, at = one.column
-        arrays[name][at] = number
+        for name, at in one.columns:
+            arrays[name][at] = number
     return {name: array.ravel() for name, array in arrays.items()} | {
         "columns": len(constants), "chamber_shift": np.zeros(3) if chamber is None else chamber.shift,
         "chamber_turn": (np.eye(3) if chamber is None else chamber.turn).ravel(),
-        "drift_change": np.zeros((wires, 0, 1)), "drift_step": 1.0,
+        "drift_change": changes, "drift_step": _DRIFT_STEP,
     }  # fmt: skip
+
+
+def _drift_changes(detector: Detector, constants: Sequence[Constant]) -> Floats:
+    """Return what 1 ns of each constant of drift times does to a distance, (wire layers, constants, distances) mm.
+
+    A true time that is later makes the distance that is read larger, by the velocity there.
+    """
+    wires = detector.drift_chamber.layers if detector.drift_chamber is not None else ()
+    if not any(array == "drift" for one in constants for array, _ in one.columns):
+        return np.zeros((len(wires), 0, 1))
+    points = points_of_relation(detector)
+    distance = np.arange(0, points[-1] + 1, _DRIFT_STEP)
+    shares = np.array([np.ones_like(distance), *2 * [hat(point, distance, points) for point in points]])
+    velocities = np.array([relation_of(layer).velocity_at(distance) for layer in wires])
+    return np.asarray(velocities[:, None, :] * shares)

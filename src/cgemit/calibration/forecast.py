@@ -14,7 +14,7 @@ from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.base.validate import is_whole
 from cgemit.calibration.constants import columns_of
-from cgemit.calibration.modes import Modes, Solution, solve
+from cgemit.calibration.modes import Determined, Solution, solve
 from cgemit.calibration.settings import AlignmentSettings, plan_of
 from cgemit.calibration.sums import WIDER, Sums, as_fitted, core_sums, expected_sums
 from cgemit.chain.executor import Workers, pool_of
@@ -25,7 +25,6 @@ from cgemit.detector.alignment import AlignmentTable
 from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.tables.show import Shown, Tabular
 
 #: Most events of a sample that are followed; they stand for all.
 MOST_EVENTS = 4000
@@ -33,7 +32,7 @@ _SAMPLES = 127  # tracks of a point, averaged over azimuth
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AlignmentForecast(Shown, Tabular):
+class AlignmentForecast(Determined):
     """Errors of constants that samples of tracks will reach.
 
     Attributes
@@ -64,20 +63,6 @@ class AlignmentForecast(Shown, Tabular):
     sums: Sums
     solution: Solution
     fit: FitSettings
-
-    @property
-    def cov(self) -> Floats:
-        """Covariance of the free constants, (n, n) float64; 0 in the zero modes."""
-        return self.solution.cov
-
-    @property
-    def zero_modes(self) -> tuple[str, ...]:
-        """Names of the combinations that the samples do not determine."""
-        return self.solution.zero_modes
-
-    def modes(self, number: int = 5) -> Modes:
-        """Return the weakest modes, zero modes first, each with the name of the nearest pattern."""
-        return self.solution.modes(number)
 
     def induced(self, particle: str = "mu-", p: Any = 1.0, cos_theta: Any = 0.0) -> dict[str, float]:
         """Return the errors of one track's parameters that the errors of the constants make, averaged over azimuth.
@@ -128,17 +113,13 @@ class AlignmentForecast(Shown, Tabular):
         found[good] = np.einsum("nci,cd,ndj->nij", bias, self.cov, bias, optimize=True)[:, UPPER[0], UPPER[1]]
         return found
 
-    def columns(self) -> dict[str, tuple[object, ...]]:
-        """Return the table as columns."""
-        return self.table.columns()
-
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = []
         for name, unit, err, correlation, status in zip(
             self.table.name, self.table.unit, self.table.err, self.table.global_correlation, self.table.status,
             strict=True,
         ):  # fmt: skip
-            factor, shown = {"mm": (1e3, "um"), "rad": (1e6, "urad")}.get(unit, (1.0, ""))
+            factor, shown = {"mm": (1e3, "um"), "rad": (1e6, "urad")}.get(unit, (1.0, unit))
             rows.append(
                 [name, shown, f"{factor * err:.4g}" if np.isfinite(err) else "-",
                  f"{correlation:.3f}" if np.isfinite(correlation) else "-", status]
@@ -216,7 +197,7 @@ def alignment_forecast(
             # Samples share no direction.
             sums = expected_sums(
                 detector, source, followed, free, fit, seed=seed + number, reveal_sides=reveal_sides,
-                cosmic="cosmic" in settings.pairs, pool=pool,
+                settings=settings, pool=pool,
             )  # fmt: skip
             total = total + sums.scaled(events / followed)
     found = solve(detector, free, total, priors, constrain=settings.zero_modes == "constrained")

@@ -13,9 +13,9 @@ from cgemit.base.arrays import Floats
 from cgemit.calibration.constants import LORENTZ, Constant
 from cgemit.calibration.sums import Sums
 from cgemit.detector import Detector
-from cgemit.detector.alignment import PATTERNS, AlignmentTable, pattern_values
+from cgemit.detector.alignment import PATTERNS, AlignmentTable, pattern_values, points_of_relation, value_of
 from cgemit.detector.layers.layer import PLACEMENT
-from cgemit.detector.variants import value_at
+from cgemit.detector.layers.wires import END_SHIFT
 from cgemit.tables.show import Shown, Tabular
 
 #: Information on a mode over that of its constants with known tracks, below which there is none: rows of the fit are
@@ -23,6 +23,7 @@ from cgemit.tables.show import Shown, Tabular
 _NONE = 1e-6
 #: The same for modes that have no known name, in units of the mean of all.
 _ROUNDING = 1e-10
+_VELOCITY = 0.03  # mm/ns, typical of drifting electrons
 #: Share of a constant in a zero mode from which on it is not determined.
 _PART = 1e-4
 
@@ -37,29 +38,85 @@ def known_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, 
         Free ones.
     """
     names = [one.name for one in constants]
-    parts = {one.part for one in constants if one.key in PLACEMENT}
-    found: dict[str, Floats] = {}
+    known, found = set(names), dict[str, Floats]()
+    wholes = [layer.path for layer in detector.layers] + ["drift_chamber"] * (detector.drift_chamber is not None)
     for key in PLACEMENT:
-        found[f"common {key}"] = _vector(names, {f"{part}.{key}": 1.0 for part in parts})
+        moved: dict[str, float] = {}
+        for path in wholes:
+            ways = (way for way in [[f"{path}.{key}"], *_finer(detector, known, path, key)] if known.issuperset(way))
+            moved |= dict.fromkeys(next(ways, []), 1.0)
+        found[f"common {key}"] = _vector(names, moved)
     # A turn of all about the beam line turns the shifts, too.
-    for part in parts:
+    for part in {one.part for one in constants if one.key in PLACEMENT}:
         shift_x, shift_y = (_value(detector, f"{part}.shift_{axis}") for axis in "xy")
         found["common rotation"] += _vector(names, {f"{part}.shift_x": -shift_y, f"{part}.shift_y": shift_x})
     for layer in detector.cgem:
-        path = f"cgem.{layer.label}"
-        values = {f"{path}.{LORENTZ}": layer.r_readout, f"{path}.rotation": 1.0}
-        if values.keys() <= set(names):
-            # About the axis of the layer itself.
-            values |= {f"{path}.tilt_x": layer.tilt_y, f"{path}.tilt_y": -layer.tilt_x}
-            found[f"Lorentz shift and rotation of {layer.label}"] = _vector(names, values)
+        path = layer.path
+        for way in ([f"{path}.rotation"], *_finer(detector, known, path, "rotation")):
+            if known.issuperset({f"{path}.{LORENTZ}", *way}):
+                # About the axis of the layer itself.
+                values = dict.fromkeys(way, 1.0) | {f"{path}.{LORENTZ}": layer.r_readout}
+                values |= {f"{path}.tilt_x": layer.tilt_y, f"{path}.tilt_y": -layer.tilt_x}
+                found.setdefault(f"Lorentz shift and rotation of {layer.label}", _vector(names, values))
+    parts = [*wholes, *dict.fromkeys(one.part for one in constants if one.part not in wholes)]
+    for path in parts:
+        for key in (*PLACEMENT, *END_SHIFT):
+            for way in _finer(detector, known, path, key):
+                if known.issuperset({f"{path}.{key}", *way}):
+                    values = {f"{path}.{key}": 1.0} | dict.fromkeys(way, -1.0)
+                    found[f"{path}.{key} and {way[0].rpartition('.')[2]} of its parts"] = _vector(names, values)
+    found |= _times(detector, names)
     for name in names:
         found[name] = _vector(names, {name: 1.0})
     return {name: vector for name, vector in found.items() if np.any(vector)}
 
 
+def _finer(detector: Detector, known: set[str], path: str, key: str) -> list[list[str]]:
+    """Return the constants of smaller parts that together do what a key of a part does, in each way."""
+    for layer in detector.layers:
+        if layer.path == path:
+            return [[f"{path}.sheets.{i}.{key}" for i in range(layer.sheets)]] if key in ("shift_z", "rotation") else []
+    wires = detector.drift_chamber.layers if detector.drift_chamber is not None else ()
+    plates = sorted({name.rpartition(".")[0] for name in known if name.startswith("drift_chamber.plates.")})
+    if ".plates." in path:
+        first, last = map(int, path.rpartition(".")[2].split("-"))
+        inside = [one.path for one in wires if first <= one.number <= last]
+        return [[f"{one}.{key}" for one in inside]] if key in END_SHIFT else []
+    both = [f"{end}_{key}" for end in ("east", "west") if f"{end}_{key}" in END_SHIFT]
+    if path.startswith("drift_chamber.layers."):
+        return [[f"{path}.{one}" for one in both]] if both else []
+    if path != "drift_chamber":
+        return []
+    layers = [one.path for one in wires]
+    ways = [[f"{one}.{name}" for one in group for name in both] for group in (plates, layers) if both and group]
+    return [[f"{one}.{key}" for one in layers], *ways] if key in PLACEMENT else []
+
+
+def _times(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:
+    """Return changes of the relation of drift distance and time that are changes of its zero, and the like."""
+    wires, points = detector.wires, points_of_relation(detector)
+    found = {}
+    shared = [f"drift_chamber.drift_relation.{k}mm" for k in points]
+    zeros = dict.fromkeys((f"{one.path}.t0" for one in wires), -1.0)
+    found["t0 of all wire layers and their relation"] = _all(names, dict.fromkeys(shared, 1.0) | zeros)
+    for one in wires:
+        own = dict.fromkeys((f"{one.path}.drift_relation.{k}mm" for k in points), 1.0)
+        found[f"t0 and relation of {one.path}"] = _all(names, own | {f"{one.path}.t0": -1.0})
+    for k, name in zip(points, shared, strict=True):
+        own = dict.fromkeys((f"{one.path}.drift_relation.{k}mm" for one in wires), -1.0)
+        found[f"relation of all wire layers and of each at {k} mm"] = _all(names, {name: 1.0} | own)
+    return found
+
+
+def _all(names: Sequence[str], values: Mapping[str, float]) -> Floats:
+    """Return the vector of some values, of those that are free; nothing unless there are two signs of them."""
+    vector = _vector(names, values)
+    return vector if (vector > 0).any() and (vector < 0).any() else np.zeros(len(names))
+
+
 def _value(detector: Detector, name: str) -> float:
-    found = value_at(detector, name)
-    return float(found[0]) if found else 0.0
+    found = value_of(detector, name)
+    return found[0] if found else 0.0
 
 
 def _vector(names: Sequence[str], values: Mapping[str, float]) -> Floats:
@@ -209,16 +266,51 @@ class Solution:
         return Modes(tuple(names[shown]), tuple(shares[shown]), tuple(sizes[shown]), array, self.names)
 
 
+class Determined(Shown, Tabular):
+    """What tracks determine, or will determine: a table of constants, and their errors together."""
+
+    table: AlignmentTable
+    solution: Solution
+
+    @property
+    def cov(self) -> Floats:
+        """Covariance of the free constants, (n, n) float64; 0 in the zero modes."""
+        return self.solution.cov
+
+    @property
+    def zero_modes(self) -> tuple[str, ...]:
+        """Names of the combinations that the tracks do not determine."""
+        return self.solution.zero_modes
+
+    def modes(self, number: int = 5) -> Modes:
+        """Return the weakest modes, zero modes first, each with the name of the nearest pattern.
+
+        Parameters
+        ----------
+        number : int
+        """
+        return self.solution.modes(number)
+
+    def columns(self) -> dict[str, tuple[object, ...]]:
+        """Return the table as columns."""
+        return self.table.columns()
+
+
 def _reach(detector: Detector, constant: Constant) -> float:
     """Return the displacement of the farthest point of a part by one unit of a constant, mm."""
     if constant.unit == "mm":
         return 1.0
     chamber = detector.drift_chamber
     r = max([layer.r_readout for layer in detector.layers] + ([chamber.layers[-1].r_end] if chamber else []))
-    half = max([layer.half_length for layer in detector.layers])
+    half = max([layer.half_length for layer in detector.layers] + [wires.half_length for wires in detector.wires])
+    if constant.unit == "ns":
+        return _VELOCITY
     for layer in detector.layers:
-        if layer.label == constant.part.rpartition(".")[2]:
+        if f"{constant.part}.".startswith(f"{layer.path}."):
             r, half = layer.r_readout, layer.half_length
+    for wires in detector.wires:
+        if constant.part == wires.path:
+            r, half = wires.r_end, wires.half_length
     return half if constant.key.startswith("tilt") else r
 
 
@@ -235,6 +327,7 @@ def _patterns(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:
 def solve(
     detector: Detector, constants: Sequence[Constant], sums: Sums, priors: Mapping[str, float],
     offset: Floats | None = None, *, constrain: bool = False, zero: Sequence[str] = (),
+    unseen: Sequence[str] = (),
 ) -> Solution:  # fmt: skip
     """Solve the normal equations.
 
@@ -251,11 +344,13 @@ def solve(
         Whether zero modes are set to 0; otherwise the constants in them are not determined.
     zero : sequence of str
         Names of zero modes that are known before.
+    unseen : sequence of str
+        Constants that no hit measures in the parts' places, and only by the tilts of an iteration.
     """
     n = len(constants)
     prior = np.array([priors.get(one.name, np.nan) for one in constants])
     survey = np.where(np.isfinite(prior), 1 / prior**2, 0.0)
-    seen = sums.measured > 0
+    seen = (sums.measured > 0) & ~np.isin([one.name for one in constants], unseen)
     known = seen | (survey > 0)
     scale = np.zeros(n)
     scale[known] = 1 / np.sqrt(np.where(seen, sums.measured, survey)[known])
@@ -263,7 +358,8 @@ def solve(
     right = (sums.right - survey * (0.0 if offset is None else offset)) * scale
     names, zeros = [], np.zeros((0, n))
     for name, vector in known_modes(detector, constants).items():
-        if np.any((vector != 0) & ~seen):
+        vector = np.where(seen, vector, 0.0)
+        if not np.any(vector):
             continue
         scaled = np.divide(vector, scale, out=np.zeros(n), where=scale > 0)
         information = float(vector @ sums.normal @ vector) / float(scaled @ scaled)
@@ -291,9 +387,9 @@ def solve(
         open_ = zeros
     else:
         open_names = tuple(names[int(np.abs(turned[:, i]).argmax())] for i in range(len(names)) if strengths[i] < 1e-14)
-    unseen = np.eye(n)[~known]
-    full = normal + open_.T @ open_ + unseen.T @ unseen
-    inverse = np.linalg.inv(full) - open_.T @ open_ - unseen.T @ unseen
+    none = np.eye(n)[~known]
+    full = normal + open_.T @ open_ + none.T @ none
+    inverse = np.linalg.inv(full) - open_.T @ open_ - none.T @ none
     inverse = 0.5 * (inverse + inverse.T)
     in_zero = np.sqrt(np.sum(open_**2, axis=0)) > _PART
     status = np.where(~known, "undetermined", np.where(in_zero, "constrained" if constrain else "undetermined", "free"))

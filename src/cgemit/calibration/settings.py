@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Positive, Whole
+from cgemit.base.validate import NotNegative, Positive, Whole
 from cgemit.calibration.constants import FIELD, LORENTZ, Constant, chosen, constants_of, priors_of
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import Pull
 
 Turns = Annotated[int, Whole(1, 50)]
+Count = Annotated[int, Whole(1, 1000)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +31,12 @@ class AlignmentSettings(SettingsData):
         Of those, which stay as they are.
     calibrate : tuple of str
         Constants that are no displacement: ``"lorentz"``, shift of the clusters of each CGEM layer without an analog
-        readout, which is known only if the layer's rotation is; ``"field"``, ln of its scale, which tracks without
-        a known mass or momentum do not tell.
+        readout, which is known only if the layer's rotation is; ``"t0"``, zero of the drift times of each wire layer;
+        ``"relation"``, times of the relation of drift distance and time of all wire layers at each mm; ``"field"``, ln
+        of its scale, which tracks without a known mass or momentum do not tell.
+    plates : tuple of int
+        Numbers of wire layers that share a pair of end plates, from the inside; ``"drift_chamber.plates.*"`` then
+        names the ends of their wires.
     priors : tuple of str
         Errors of surveys, ``"cgem.*.shift_z=100 um"``; later ones count. The survey says that the description is right.
     zero_modes : str
@@ -39,7 +44,15 @@ class AlignmentSettings(SettingsData):
         ``"constrained"``, combinations that the data do not see are set to 0.
     pairs : tuple of str
         Tracks that are joined: ``"cosmic"``, an upward and a downward track that are alone in their event are the
-        halves of one muon.
+        halves of one muon; ``"vertex"``, tracks of an event leave one point, within some mm of the origin;
+        ``"beam_line"``, that point, or the one track of an event, is on the beam line x = y = 0 within `beam_width`;
+        ``"mass"``, two tracks that are alone in their event have the invariant mass `mass`.
+    beam_width : (float, float)
+        Standard deviations of vertices in x and y, mm.
+    mass : float or None
+        GeV/c2; with ``"mass"`` in `pairs`.
+    mass_width : float
+        Standard deviation of the true masses, GeV/c2.
     scattering : bool
         Whether matter scatters in the normal equations. Without, errors are too small (docs/methods/alignment.md).
     outlier_pull : tuple of float
@@ -64,10 +77,14 @@ class AlignmentSettings(SettingsData):
 
     free: tuple[str, ...] = ("cgem.*",)
     fixed: tuple[str, ...] = ()
-    calibrate: tuple[Literal["lorentz", "field"], ...] = ()
+    calibrate: tuple[Literal["lorentz", "field", "t0", "relation"], ...] = ()
+    plates: tuple[Count, ...] = ()
     priors: tuple[str, ...] = ()
     zero_modes: Literal["undetermined", "constrained"] = "undetermined"
-    pairs: tuple[Literal["cosmic"], ...] = ("cosmic",)
+    pairs: tuple[Literal["cosmic", "vertex", "beam_line", "mass"], ...] = ("cosmic",)
+    beam_width: tuple[Positive, Positive] = (0.1, 0.1)
+    mass: Positive | None = None
+    mass_width: NotNegative = 0.0
     scattering: bool = True
     outlier_pull: tuple[Pull, ...] = (0.0, 8.0, 5.0)
     iterations: Turns = 8
@@ -77,6 +94,8 @@ class AlignmentSettings(SettingsData):
         """Note settings without any constant or cut."""
         if isinstance(self.free, tuple) and not self.free and not self.calibrate:
             problems.note("free", "()", "a part or a constant, or something to calibrate")
+        if isinstance(self.pairs, tuple) and ("mass" in self.pairs) != (self.mass is not None):
+            problems.note("mass", str(self.mass), "a mass if, and only if, 'mass' is in pairs")
         if isinstance(self.outlier_pull, tuple) and not self.outlier_pull:
             problems.note("outlier_pull", "()", "a cut for each iteration, at least one")
 
@@ -96,9 +115,15 @@ def plan_of(
     ValueError
         Listing every pattern that names nothing, and every prior that is none.
     """
-    problems, every = Problems(), constants_of(detector)
+    problems, every = Problems(), constants_of(detector, settings.plates)
+    wires = len(detector.drift_chamber.layers) if detector.drift_chamber is not None else 0
+    if settings.plates and sum(settings.plates) != wires:
+        problems.note("plates", f"{sum(settings.plates)} wire layers", f"the {wires} of the detector")
     free = chosen(every, settings.free, "free", problems)
-    keys: dict[str, Any] = {"lorentz": f"cgem.*.{LORENTZ}", "field": FIELD}
+    keys = {
+        "lorentz": f"cgem.*.{LORENTZ}", "t0": "drift_chamber.layers.*.t0",
+        "relation": "drift_chamber.drift_relation.*", "field": FIELD,
+    }  # fmt: skip
     free |= chosen(every, [keys[name] for name in settings.calibrate], "calibrate", problems)
     fixed = chosen(every, settings.fixed, "fixed", problems)
     priors = priors_of(every, settings.priors, problems)

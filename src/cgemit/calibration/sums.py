@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.analysis.cosmics import BACKWARD, halves
 from cgemit.base.arrays import Floats
 from cgemit.calibration.constants import Constant, columns_of
+from cgemit.calibration.constraints import Quantities, known_tracks, quantities
+from cgemit.calibration.settings import AlignmentSettings
 from cgemit.covariance.analytic import expected_hits
 from cgemit.covariance.tracks import draws, efficiencies_of
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source, generate
+from cgemit.particles.species import usual_mass
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit, fit_columns
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.tables import Table
@@ -27,6 +30,32 @@ from cgemit.tables.schema import HIT_WIRE, FitStatus
 #: 200 mm of d_rho would tell a common shift to 2 mm.
 WIDER = 20.0
 _BLOCK = 2048  # tracks of one task
+_KNOWN = 3.0  # errors of a drift distance, from which on the side of a hit is known
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Independent measurements of constants: a residual with its error, and what constants do to it.
+
+    The sums are those over the rows of derivative derivative'/error^2 and derivative residual/error^2.
+
+    Attributes
+    ----------
+    event : ndarray, (n,) int64
+    residual, error : ndarray, (n,) float64
+    ends : ndarray, (n,) int64
+        Of the derivatives of each row.
+    column : ndarray, (m,) int32
+        Constant of each derivative.
+    derivative : ndarray, (m,) float64
+    """
+
+    event: npt.NDArray[np.int64]
+    residual: Floats
+    error: Floats
+    ends: npt.NDArray[np.int64]
+    column: npt.NDArray[np.int32]
+    derivative: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +74,8 @@ class Sums:
         Numbers of tracks and hits, and of pairs of tracks that were constrained to agree.
     chi2 : float
         Of all tracks and pairs.
+    rows : tuple of Rows
+        What they are sums of, if asked for.
     """
 
     normal: Floats
@@ -54,6 +85,7 @@ class Sums:
     hits: int = 0
     pairs: int = 0
     chi2: float = 0.0
+    rows: tuple[Rows, ...] = ()
 
     @classmethod
     def none(cls, constants: int) -> Sums:
@@ -65,13 +97,14 @@ class Sums:
 
     def scaled(self, factor: float) -> Sums:
         """Return the sums of `factor` times as many tracks of the same kind."""
-        found = {name: factor * getattr(self, name) for name in self.__dataclass_fields__}
-        return Sums(**found | {name: round(found[name]) for name in ("tracks", "hits", "pairs")})
+        numbers = {name: round(factor * getattr(self, name)) for name in ("tracks", "hits", "pairs")}
+        others = {name: factor * getattr(self, name) for name in ("normal", "right", "measured", "chi2")}
+        return Sums(**others, **numbers)
 
 
 def fitted_sums(
     detector: Detector, tables: Mapping[str, Table], constants: Sequence[Constant], fit: FitSettings, *,
-    cosmic: bool = False, scattering: bool = True, pool: Executor | None = None,
+    settings: AlignmentSettings | None = None, pool: Executor | None = None, rows: bool = False,
 ) -> Sums:  # fmt: skip
     """Fit the candidates of tables and return the sums over their tracks.
 
@@ -79,14 +112,15 @@ def fitted_sums(
     ----------
     detector : Detector
     tables : mapping of str to Table
-        ``clusters``, ``wire_hits``, ``candidates`` and ``candidate_hits``.
+        ``clusters``, ``wire_hits``, ``candidates`` and ``candidate_hits``; ``reference``, if any: tracks of these
+        candidates that are known otherwise.
     constants : sequence of Constant
     fit : FitSettings
-    cosmic : bool
-        Whether an upward and a downward track of an event are halves of one muon.
-    scattering : bool
-        Whether matter scatters, in the sums.
+    settings : AlignmentSettings or None
+        Which tracks are joined, and whether matter scatters. None: it does, and none.
     pool : Executor or None
+    rows : bool
+        Whether the sums keep the rows that they are of.
     """
     clusters, wire_hits, candidates, candidate_hits = (
         tables[name] for name in ("clusters", "wire_hits", "candidates", "candidate_hits")
@@ -96,6 +130,11 @@ def fitted_sums(
     out, hits = fitted.out, fitted.hits
     good = np.flatnonzero(np.isin(out["status"], (FitStatus.ok, FitStatus.unconstrained)))
     columns = {**hits.columns(), **{name: out[name] for name in ("used", "used_value", "used_variance")}}
+    # Sides are known of hits that are far from their wire by the track without them; a choice by what they measure
+    # would favour large distances. The core takes a value below its distance as one between both sides.
+    wire, distance = hits.kind == HIT_WIRE, np.abs(out["used_value"] - out["residual"])
+    known, size = distance > _KNOWN * hits.sigma, np.abs(out["used_value"])
+    columns["value"] = np.where(wire, np.where(known, size, 2 * size + 1), hits.value)
     counts = np.diff(hits.hit_offsets)
     given = {
         "reference": out["reference"], "mass": fitted.mass, "matter_p": out["matter_p"],
@@ -105,8 +144,26 @@ def fitted_sums(
     event = tables["candidates"]["event"][fitted.candidate]
     return track_sums(
         fitted.core, detector, constants, hits.hit_offsets, columns, given, good, event, fit,
-        cosmic=cosmic, scattering=scattering, pool=pool,
+        settings=settings, pool=pool, rows=rows,
+        reference=_known_tracks(tables["reference"], fitted.candidate, fitted.mass) if "reference" in tables else None,
     )  # fmt: skip
+
+
+def _known_tracks(known: Table, candidate: npt.NDArray[np.int64], mass: Floats) -> tuple[Floats, Floats]:
+    """Return helices and covariances of known tracks for candidates, (n, 5) and (n, 5, 5), NaN for those without.
+
+    Of the tracks of a candidate with several masses, the one with the mass nearest to that of our fit counts.
+    """
+    found = np.full((len(candidate), 5), np.nan), np.full((len(candidate), 5, 5), np.nan)
+    rows = np.flatnonzero((known["status"] == FitStatus.ok) & (known["candidate"] >= 0))
+    masses = np.array([usual_mass(int(pdg)) if pdg else np.nan for pdg in known["hypothesis"][rows]])
+    for i, one in enumerate(candidate):
+        mine = np.flatnonzero(known["candidate"][rows] == one)
+        if len(mine):
+            row = rows[mine[np.argmin(np.nan_to_num(np.abs(masses[mine] - mass[i])))]]
+            found[0][i] = [known[name][row] for name in helix.PARAMETERS]
+            found[1][i] = known["cov"][row]
+    return found
 
 
 def residual_means(detector: Detector, tables: Mapping[str, Table], fit: FitSettings) -> dict[str, tuple[float, float]]:
@@ -140,7 +197,7 @@ def residual_means(detector: Detector, tables: Mapping[str, Table], fit: FitSett
 
 def expected_sums(
     detector: Detector, source: Source | Guns, tracks: int, constants: Sequence[Constant], fit: FitSettings, *,
-    seed: int = 1, reveal_sides: bool = False, cosmic: bool = False, pool: Executor | None = None,
+    seed: int = 1, reveal_sides: bool = False, settings: AlignmentSettings | None = None, pool: Executor | None = None,
 ) -> Sums:  # fmt: skip
     """Return the sums over the tracks that some events of a source are expected to leave.
 
@@ -156,7 +213,7 @@ def expected_sums(
         Of the events.
     reveal_sides : bool
         Whether wire hits tell their side.
-    cosmic : bool
+    settings : AlignmentSettings or None
         As of `fitted_sums`.
     pool : Executor or None
     """
@@ -167,8 +224,9 @@ def expected_sums(
     mass, charge = (np.asarray(particles[name], np.float64)[rows] for name in ("mass", "charge"))
     given = expected_tracks(detector, helices, mass, np.abs(charge), fit, reveal_sides=reveal_sides)
     return track_sums(
-        compiled_for_fit(detector, fit), detector, constants, *given[:3], given[3], event, fit, cosmic=cosmic, pool=pool
-    )
+        compiled_for_fit(detector, fit), detector, constants, *given[:3], given[3], event, fit, settings=settings,
+        pool=pool,
+    )  # fmt: skip
 
 
 def expected_tracks(
@@ -249,8 +307,8 @@ def as_fitted(
 def track_sums(
     core: _core.detector.Detector, detector: Detector, constants: Sequence[Constant], offsets: npt.NDArray[np.int64],
     hits: Mapping[str, npt.NDArray[Any]], given: Mapping[str, npt.NDArray[Any]], good: npt.NDArray[np.intp],
-    event: npt.NDArray[np.int64], fit: FitSettings, *, cosmic: bool = False, scattering: bool = True,
-    pool: Executor | None = None,
+    event: npt.NDArray[np.int64], fit: FitSettings, *, settings: AlignmentSettings | None = None,
+    pool: Executor | None = None, rows: bool = False, reference: tuple[Floats, Floats] | None = None,
 ) -> Sums:  # fmt: skip
     """Return the sums over tracks.
 
@@ -265,20 +323,33 @@ def track_sums(
         Rows of the tracks that are summed.
     event : ndarray, (n,) int64
     fit : FitSettings
-    cosmic, scattering : bool
+    settings : AlignmentSettings or None
     pool : Executor or None
+    rows : bool
+        As of `fitted_sums`.
+    reference : (ndarray, (n, 5), and ndarray, (n, 5, 5)), or None
+        Helices and covariances that are known otherwise; NaN: not.
     """
+    settings = settings or AlignmentSettings(pairs=())
     columns = columns_of(detector, constants)
     prior = [WIDER * sigma for sigma in fit.prior_in(detector)]
 
-    def part(rows: npt.NDArray[np.intp]) -> Sums:
-        found = core_sums(core, columns, offsets, hits, given, rows, prior, bias=cosmic, scattering=scattering)
+    def part(tracks: npt.NDArray[np.intp]) -> Sums:
+        found = core_sums(
+            core, columns, offsets, hits, given, tracks, prior, bias=bool(settings.pairs) or reference is not None,
+            scattering=settings.scattering, innovations=rows,
+        )  # fmt: skip
         used = found["used"] == 1
         sums = Sums(
             found["normal"], found["right"], found["measured"], int(used.sum()), int(found["hits"][used].sum()), 0,
-            float(found["chi2"][used].sum()),
+            float(found["chi2"][used].sum()), _rows_of(found, event[tracks]) if rows else (),
         )  # fmt: skip
-        return sums + cosmic_pairs(found, event[rows]) if cosmic else sums
+        joined = quantities(found, event[tracks], given["mass"][tracks], given["charge"][tracks], settings)
+        if reference is not None:
+            joined = chain(joined, known_tracks(found, event[tracks], *(one[tracks] for one in reference)))
+        for one in joined:
+            sums = sums + constrained(one, rows=rows)
+        return sums
 
     blocks = np.split(good, _borders(good, event)) if len(good) else []
     total = Sums.none(len(constants))
@@ -301,7 +372,7 @@ def _borders(good: npt.NDArray[np.intp], event: npt.NDArray[np.int64]) -> list[i
 def core_sums(
     core: _core.detector.Detector, columns: dict[str, Any], offsets: npt.NDArray[np.int64],
     hits: Mapping[str, npt.NDArray[Any]], given: Mapping[str, npt.NDArray[Any]], rows: npt.NDArray[np.intp],
-    prior: Sequence[float], *, bias: bool = False, scattering: bool = True,
+    prior: Sequence[float], *, bias: bool = False, scattering: bool = True, innovations: bool = False,
 ) -> dict[str, npt.NDArray[Any]]:  # fmt: skip
     """Return what the core makes of some tracks.
 
@@ -314,7 +385,7 @@ def core_sums(
     hits, given : mapping of str to ndarray
     rows : ndarray, int
     prior : sequence of float
-    bias, scattering : bool
+    bias, scattering, innovations : bool
     """
     of_tracks: dict[str, Any] = {name: column[rows] for name, column in given.items()}
     counts = np.diff(offsets)[rows]
@@ -323,49 +394,38 @@ def core_sums(
     found: dict[str, npt.NDArray[Any]] = _core.calibration.sums(
         core, columns=columns, hit_offsets=begin, hits={name: column[at] for name, column in hits.items()},
         **of_tracks, prior_sigma=list(prior), bias=bias,
-        scattering=scattering,
+        scattering=scattering, innovations=innovations,
     )  # fmt: skip
     return found
 
 
-def cosmic_pairs(found: Mapping[str, npt.NDArray[Any]], event: npt.NDArray[np.int64]) -> Sums:
-    """Return the sums over the halves of muons that cross the detector: both are the same track.
+def _rows_of(of_core: Mapping[str, Any], event: npt.NDArray[np.int64]) -> tuple[Rows, ...]:
+    found = of_core["innovations"]
+    return (
+        Rows(
+            event[found["track"]], found["residual"], np.sqrt(found["variance"]), found["ends"], found["column"],
+            found["derivative"],
+        ),
+    )  # fmt: skip
+
+
+def constrained(given: Quantities, *, rows: bool = False) -> Sums:
+    """Return the sums over quantities that are 0 but for errors and constants.
 
     Parameters
     ----------
-    found : mapping of str to ndarray
-        Of the core, with ``bias``.
-    event : ndarray, (n,) int64
+    given : Quantities
+    rows : bool
     """
-    upper, lower = halves(event, found["helix"][:, 1], found["used"] == 1)
-    constants = len(found["right"])
-    if not len(upper):
-        return Sums.none(constants)
-    apart = found["helix"][lower] - found["helix"][upper] * BACKWARD
-    apart[:, 1] = helix.wrap_angle(apart[:, 1] - np.pi)
-    cov = found["cov"][lower] + BACKWARD[:, None] * found["cov"][upper] * BACKWARD
-    slope = found["bias"][lower] - found["bias"][upper] * BACKWARD  # (pairs, constants, 5)
-    return constrained(apart, cov, slope)
-
-
-def constrained(apart: Floats, cov: Floats, slope: Floats) -> Sums:
-    """Return the sums over constraints between fitted tracks: quantities that are 0 but for errors and constants.
-
-    Parameters
-    ----------
-    apart : ndarray, (n, k) float64
-        Their values.
-    cov : ndarray, (n, k, k) float64
-    slope : ndarray, (n, constants, k) float64
-        Their derivatives by the constants.
-    """
-    # The errors of quantities differ by orders of magnitude.
-    scale = 1 / np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    weight = np.linalg.inv(cov * scale[:, :, None] * scale[:, None, :])
-    apart, slope = apart * scale, slope * scale[:, None, :]
-    weighted = np.einsum("nij,ncj->nci", weight, slope)
-    k = slope.shape[1]
-    normal = weighted.transpose(1, 0, 2).reshape(k, -1) @ slope.transpose(1, 0, 2).reshape(k, -1).T
-    right = np.einsum("nci,ni->c", weighted, apart)
-    chi2 = float(np.einsum("ni,nij,nj->", apart, weight, apart))
-    return Sums(0.5 * (normal + normal.T), right, np.zeros(k), pairs=len(apart), chi2=chi2)
+    values, slope = given.whitened()
+    n, constants, k = slope.shape
+    flat = slope.transpose(0, 2, 1).reshape(n * k, constants)
+    kept: tuple[Rows, ...] = ()
+    if rows:
+        row, column = np.nonzero(flat)
+        ends = np.cumsum(np.bincount(row, minlength=n * k))
+        event, one = np.repeat(given.event, k), np.ones(n * k)
+        kept = (Rows(event, values.ravel(), one, ends, column.astype(np.int32), flat[row, column]),)
+    return Sums(
+        flat.T @ flat, flat.T @ values.ravel(), np.zeros(constants), pairs=n, chi2=float(np.sum(values**2)), rows=kept
+    )

@@ -38,8 +38,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--fix", action="append", default=[], metavar="PATTERN", help="of those, stay as they are")
     parser.add_argument(
-        "--calibrate", action="append", default=[], choices=("lorentz", "field"), help="constants of no displacement"
+        "--calibrate", action="append", default=[], choices=("lorentz", "field", "t0", "relation"),
+        help="constants of no displacement; may repeat",
+    )  # fmt: skip
+    parser.add_argument(
+        "--plates", type=_numbers, default=(), metavar="N,N", help="wire layers of each pair of end plates, from inside"
     )
+    parser.add_argument(
+        "--pairs", action="append", metavar="WHAT", choices=("cosmic", "vertex", "beam_line", "none"),
+        help="what tracks of an event share (default cosmic): cosmic, vertex, beam_line, none; may repeat",
+    )  # fmt: skip
+    parser.add_argument("--mille", metavar="FILE", help="also write records for pede")
     parser.add_argument(
         "--prior", action="append", default=[], metavar="PATTERN=ERROR", help="survey, 'cgem.*.shift_z=100 um'"
     )
@@ -55,10 +64,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_common(parser)
 
 
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(word) for word in text.split(","))
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Align, or forecast."""
     from cgemit.base.files import check_free
     from cgemit.calibration.align import Alignment, align
+    from cgemit.calibration.mille import write_mille
     from cgemit.calibration.settings import AlignmentSettings
     from cgemit.chain.result import Result
 
@@ -66,7 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         check_free(arguments.output, overwrite=arguments.overwrite)
     settings = AlignmentSettings(
         free=tuple(arguments.free or ("cgem.*",)), fixed=tuple(arguments.fix), calibrate=tuple(arguments.calibrate),
-        priors=tuple(arguments.prior), zero_modes=arguments.zero_modes,
+        priors=tuple(arguments.prior), zero_modes=arguments.zero_modes, plates=arguments.plates,
+        pairs=tuple(one for one in arguments.pairs or ("cosmic",) if one != "none"),
     )  # fmt: skip
     found: Alignment | AlignmentForecast
     if arguments.forecast:
@@ -77,6 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
                 "align: got no run, or a sample without --forecast; expected folders of runs, or --forecast"
             )
         runs = [Result.load(folder) for folder in arguments.runs]
+        if arguments.mille:
+            write_mille(arguments.mille, runs, settings, detector=arguments.detector, overwrite=arguments.overwrite)
         found = align(runs, settings, detector=arguments.detector)
     report = _report(found, settings, arguments)
     text = json.dumps(report, indent=2, allow_nan=False)
@@ -100,8 +117,9 @@ def _forecast(arguments: argparse.Namespace, settings: AlignmentSettings) -> Ali
         samples.append((Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), arguments.muons))
     if arguments.cosmics:
         samples.append((sample("cosmic"), arguments.cosmics))
-    if arguments.runs or not samples or not arguments.detector:
-        raise ValueError("align --forecast: expected -d DETECTOR and --muons N, --cosmics N, or both, and no run")
+    if arguments.runs or arguments.mille or not samples or not arguments.detector:
+        expected = "-d DETECTOR and --muons N, --cosmics N, or both, and neither a run nor --mille"
+        raise ValueError(f"align --forecast: expected {expected}")
     return alignment_forecast(arguments.detector, samples, settings)
 
 

@@ -5,21 +5,27 @@ from __future__ import annotations
 import csv
 import math
 import os
+import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.base.files import new_file, read_text
 from cgemit.base.validate import is_whole, number
-from cgemit.detector.keys import Known
+from cgemit.detector.drift import relation_of
+from cgemit.detector.keys import Known, once
+from cgemit.detector.layers import Layer
 from cgemit.detector.layers.layer import PLACEMENT
+from cgemit.detector.layers.wires import END_SHIFT, DriftPoint, WireLayer
 from cgemit.detector.parts import Contents
 from cgemit.detector.variants import value_at
 from cgemit.tables.show import Shown, Tabular, with_error
@@ -29,6 +35,12 @@ from cgemit.units import QuantityError, parse_quantity
 STATUSES = ("free", "fixed", "undetermined", "constrained")
 #: ln of the field over that of the description.
 FIELD_SCALE = "field.scale"
+#: Displacement of a sheet of a CGEM layer; of the ends of wires in one pair of end plates, by its first and last layer;
+#: time of the relation of drift distance and time at a distance, of one wire layer or of all.
+_SHEET = re.compile(r"([^.]+\.[^.]+)\.sheets\.(\d{1,3})\.(shift_z|rotation)")
+_OF_SHEETS = ("shift_z", "rotation")
+_PLATE = re.compile(r"drift_chamber\.plates\.(\d{1,5})-(\d{1,5})\.((?:east|west)_(?:shift_x|shift_y|rotation))")
+_POINT = re.compile(r"drift_chamber\.(?:layers\.(\d{1,5})\.)?drift_relation\.(\d{1,3})mm")
 _COLUMNS = ("name", "unit", "value", "err", "prior", "global_correlation", "status")
 
 
@@ -39,10 +51,10 @@ class AlignmentTable(Shown, Tabular):
     Attributes
     ----------
     name : tuple of str
-        Dotted keys of the detector file, such as ``"cgem.L1.shift_x"``; ``"field.scale"`` is ln of the field over that
-        of the description.
+        Dotted keys of the detector file, such as ``"cgem.L1.shift_x"``, or a name of docs/methods/alignment.md:
+        ``"field.scale"`` is ln of the field over that of the description.
     unit : tuple of str
-        ``"mm"``, ``"rad"`` or empty.
+        ``"mm"``, ``"rad"``, ``"ns"`` or empty.
     value, err : tuple of float
         To be added to the description; NaN for constants that the data do not determine.
     prior : tuple of float
@@ -139,7 +151,7 @@ class AlignmentTable(Shown, Tabular):
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = []
         for name, unit, value, err, prior, correlation, status in zip(*self.columns().values(), strict=True):
-            factor, shown = {"mm": (1e3, "um"), "rad": (1e3, "mrad")}.get(str(unit), (1.0, ""))
+            factor, shown = {"mm": (1e3, "um"), "rad": (1e3, "mrad")}.get(str(unit), (1.0, str(unit)))
             number = with_error(factor * value, factor * err) if np.isfinite(value) else "-"
             if status == "fixed":
                 number = f"{factor * value:g}"
@@ -190,7 +202,7 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
     ----------
     detector : Contents
     values : mapping of str to float
-        By name, mm, rad or 1.
+        By name, mm, rad, ns or 1.
 
     Raises
     ------
@@ -198,20 +210,170 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
         Listing every name that is no number of the detector, and every value that is not finite.
     """
     problems, found = list[Problem](), dict[str, object]()
+    numbers: dict[str, float] = {}  # several constants may move one
+    sheets: dict[str, list[float]] = {}
+    points: dict[int, dict[int, float]] = {}
+    nodes = points_of_relation(detector)
     for name, change in values.items():
-        path = "field.bz" if name == FIELD_SCALE else name
-        now = value_at(detector, path)
-        if now is None or now[1].kind not in ("length", "angle", "field"):
-            hint = did_you_mean(name, [FIELD_SCALE])
-            problems.append(Problem(name, f"{change:g}", "the dotted key of a displacement of the detector", hint))
-        elif not math.isfinite(change):
+        if not math.isfinite(change):
             problems.append(Problem(name, f"{change:g}", "a finite number"))
-        else:
-            before = float(now[0] or 0.0)
-            found[path] = Known(before * math.exp(change) if name == FIELD_SCALE else before + change)
+            continue
+        point = _POINT.fullmatch(name)
+        known = point is not None and int(point[2]) in nodes and bool(_wire_layers(detector, point[1]))
+        if point and known:
+            for wires in _wire_layers(detector, point[1]):
+                of_layer = points.setdefault(wires.number, {})
+                of_layer[int(point[2])] = of_layer.get(int(point[2]), 0.0) + change
+        for path, sheet in keys_of_constant(detector, name):
+            if sheet is not None:
+                path_of_layer, _, key = path.rpartition(".")
+                group, _, label = path_of_layer.partition(".")
+                layer = next(one for one in detector.layers if (one.group, one.label) == (group, label))
+                whole = layer.sheet_z if key == "sheet_shift_z" else _turns(layer)
+                sheets.setdefault(path, list(whole))[sheet] += change
+                continue
+            now = value_at(detector, path)
+            before = numbers.setdefault(path, float((now[0] if now else 0.0) or 0.0))
+            numbers[path] = before * math.exp(change) if name == FIELD_SCALE else before + change
+        if not point and not keys_of_constant(detector, name):
+            hint = did_you_mean(name, [FIELD_SCALE])
+            problems.append(Problem(name, f"{change:g}", "the dotted key of a displacement, or another constant", hint))
+        elif point and not known:
+            problems.append(
+                Problem(name, f"{change:g}", f"a wire layer of the detector, and {nodes[0]} to {nodes[-1]} mm")
+            )
+    found |= {path: Known(value) for path, value in numbers.items()}
+    for path, whole in sheets.items():
+        key = (value_at(detector, path) or (None, None))[1]
+        if key is not None and not all(key.low <= one <= key.high for one in whole):
+            given = ", ".join(f"{one:g}" for one in whole)
+            problems.append(Problem(path, given, f"numbers from {key.low:g} to {key.high:g}"))
+        found[path] = Known(tuple(whole))
+    for wires in _wire_layers(detector, None):
+        if wires.number not in points:
+            continue
+        path, made = wires.path, _relation_with(wires, points[wires.number], nodes)
+        if any(b.time <= a.time for a, b in pairwise(made)):
+            at = next(a.distance for a, b in pairwise(made) if b.time <= a.time)
+            problems.append(Problem(f"{path}.drift_relation", f"times that fall from {at:g} mm", "times that rise"))
+        found |= {f"{path}.drift_relation": Known(made), f"{path}.drift_velocity": Known(None)}
     if problems:
         raise DetectorError(detector.name, problems)
     return found
+
+
+def _turns(layer: Layer) -> tuple[float, ...]:
+    own = layer.sheet_rotation or (0.0,)
+    return tuple(own[i % len(own)] for i in range(layer.sheets))
+
+
+def _wire_layers(detector: Contents, number: str | None) -> list[WireLayer]:
+    """Return the wire layer of a number, or all."""
+    layers = detector.drift_chamber.layers if detector.drift_chamber else ()
+    return [layer for layer in layers if number is None or layer.number == int(number)]
+
+
+def keys_of_constant(detector: Contents, name: str) -> list[tuple[str, int | None]]:
+    """Return the keys of a detector file that a constant changes, and the sheet in their list; none if it has no key.
+
+    Parameters
+    ----------
+    detector : Contents
+    name : str
+    """
+    if name == FIELD_SCALE:
+        return [("field.bz", None)]
+    if found := _SHEET.fullmatch(name):
+        for layer in detector.layers:
+            if layer.path == found[1] and value_at(detector, f"{layer.path}.sheet_{found[3]}"):
+                return [(f"{layer.path}.sheet_{found[3]}", int(found[2]))] if int(found[2]) < layer.sheets else []
+        return []
+    if found := _PLATE.fullmatch(name):
+        within = [one for one in _wire_layers(detector, None) if int(found[1]) <= one.number <= int(found[2])]
+        return [(f"{one.path}.{found[3]}", None) for one in within]
+    now = value_at(detector, name)
+    known = now is not None and now[1].kind in ("length", "angle", "time", "dimensionless") and name.count(".") > 0
+    return [(name, None)] if known else []
+
+
+def value_of(detector: Contents, name: str) -> tuple[float, float, float] | None:
+    """Return the present value of a constant and how far it may go down and up; None if there is none.
+
+    Values are in mm, rad, ns or 1. The value of several parts is their mean; that of a field its logarithm.
+
+    Parameters
+    ----------
+    detector : Contents
+    name : str
+    """
+    if point := _POINT.fullmatch(name):
+        layers = _wire_layers(detector, point[1]) if int(point[2]) in points_of_relation(detector) else []
+        times = [_time_at(layer, float(point[2])) for layer in layers]
+        return (float(np.mean(times)), -_MOST_TIME, _MOST_TIME) if times else None
+    found = []
+    for path, sheet in keys_of_constant(detector, name):
+        now = value_at(detector, path)
+        assert now is not None
+        value, key = now
+        if sheet is not None:
+            value = (value[sheet % len(value)] if value else 0.0) or 0.0
+        found.append((float(value or 0.0), key.low, key.high))
+    if not found:
+        return None
+    if name == FIELD_SCALE:
+        return float(np.log(abs(found[0][0]))), -0.5, 0.5
+    values, low, high = (np.array(one) for one in zip(*found, strict=True))
+    return float(np.mean(values)), float(np.max(low - values)), float(np.min(high - values))
+
+
+_MOST_TIME = 1000.0  # ns, of a change of a drift relation
+
+
+def _time_at(layer: WireLayer, distance: float) -> float:
+    relation = relation_of(layer)
+    slope = (relation.time[-1] - relation.time[-2]) / (relation.distance[-1] - relation.distance[-2])
+    beyond = max(distance - relation.distance[-1], 0.0)
+    return float(np.interp(distance, relation.distance, relation.time) - layer.t0 + slope * beyond)
+
+
+@once
+def points_of_relation(detector: Contents) -> tuple[int, ...]:
+    """Return the distances of the points of a relation of drift distance and time: each mm of the widest half cell.
+
+    Parameters
+    ----------
+    detector : Detector
+    """
+    half = [math.pi * one.r_end / one.cells for one in detector.wires]
+    return tuple(range(1, max(int(max(half, default=0.0)), 1) + 1))
+
+
+def hat(point: int, distance: npt.ArrayLike, points: Sequence[int]) -> Floats:
+    """Return the share of a point of a relation at distances: 1 at its own, falling to 0 at the points beside it.
+
+    Nearer to the wire than all points the share of the first one is 1, and farther that of the last one.
+
+    Parameters
+    ----------
+    point : int
+        mm.
+    distance : array_like, mm
+    points : sequence of int
+        All of them.
+    """
+    inside = np.clip(distance, points[0], points[-1])
+    return np.asarray(np.maximum(1 - np.abs(inside - point), 0.0))
+
+
+def _relation_with(layer: WireLayer, changes: Mapping[int, float], points: Sequence[int]) -> tuple[DriftPoint, ...]:
+    """Return the relation of a layer with changes of its times at distances, ns by mm."""
+    own = np.zeros(1) if layer.drift_velocity else relation_of(layer).distance
+    distances = np.unique(np.concatenate([own, np.array(points, np.float64)]))
+    changed = [
+        _time_at(layer, float(one)) + sum(change * float(hat(at, one, points)) for at, change in changes.items())
+        for one in distances
+    ]
+    return tuple(DriftPoint(distance=float(a), time=float(b)) for a, b in zip(distances, changed, strict=True))
 
 
 #: Patterns of displacement of a whole detector that tracks constrain weakly. (Formulas as in the lists of weak modes
@@ -303,6 +465,10 @@ def _cylinder(layers: list[tuple[float, float, float]]) -> Floats:
     )
 
 
+#: Of a pattern's square; with less, the parts of the detector cannot move like it.
+_LEAST_SHARE = 0.1
+
+
 def pattern_values(detector: Contents, name: str) -> tuple[dict[str, float], float]:
     """Return the constants of the parts of a detector that come nearest to a pattern of size 1 mm.
 
@@ -317,29 +483,50 @@ def pattern_values(detector: Contents, name: str) -> tuple[dict[str, float], flo
     values : dict of str to float
         By name, mm and rad.
     share : float
-        Of the pattern's square that these displacements make, 0 to 1.
+        Of the pattern's square that these displacements make, 0 to 1; of that in the wires if only their ends can.
     """
     parts, values = rigid_parts(detector), dict[str, float]()
     every = np.concatenate([points for points, _ in parts.values()])
     size = float(np.hypot(every[:, 0], every[:, 1]).max()), float(np.abs(every[:, 2]).max())
-    total, made = 0.0, 0.0
-    for path, (points, pivot) in parts.items():
+
+    def follow(path: str, keys: tuple[str, ...], points: Floats, columns: list[Floats]) -> tuple[float, float]:
         wanted = pattern_at(name, points, size)
-        arm = points - pivot
-        columns = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
-        columns += [np.cross(axis, arm) for axis in np.eye(3)]
         matrix = np.stack([one.ravel() for one in columns], axis=1)
         found = np.linalg.lstsq(matrix, wanted.ravel(), rcond=None)[0]
+        names = (f"{path}.{key}" for key in keys)
+        values.update({key: float(one) for key, one in zip(names, found, strict=True) if abs(one) > 1e-12})
         # Parts count alike, whatever the number of their points.
-        total += float(np.mean(wanted**2))
-        made += float(np.mean((matrix @ found) ** 2))
-        names = (f"{path}.{key}" for key in PLACEMENT)
-        values |= {key: float(one) for key, one in zip(names, found, strict=True) if abs(one) > 1e-12}
-    return values, made / total if total else 0.0
+        return float(np.mean(wanted**2)), float(np.mean((matrix @ found) ** 2))
+
+    shares = []
+    for path, (points, pivot) in parts.items():
+        columns = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+        columns += [np.cross(axis, points - pivot) for axis in np.eye(3)]
+        shares.append(follow(path, PLACEMENT, points, columns))
+    total, made = np.sum(shares, axis=0)
+    if made >= _LEAST_SHARE * total:
+        return values, float(made / total) if total else 0.0
+    # Whole parts cannot; wires may by their ends.
+    values.clear()
+    shares = [follow(one.path, END_SHIFT, *_by_ends(one)) for one in detector.wires]
+    total, made = np.sum(shares, axis=0) if shares else (0.0, 0.0)
+    return values, float(made / total) if total else 0.0
 
 
-#: Of a pattern's square; with less, the parts of the detector cannot move like it.
-_LEAST_SHARE = 0.1
+def _by_ends(layer: WireLayer) -> tuple[Floats, list[Floats]]:
+    """Return points on wires, and what each key of their ends does to them, (n, 3) each."""
+    ends = layer.wire_ends(np.arange(0, layer.cells, max(layer.cells // 16, 1)))  # (wires, end, 3)
+    points, columns = [], list[list[Floats]]([[] for _ in END_SHIFT])
+    for share in np.linspace(0, 1, 9):
+        points.append(share * ends[:, 0] + (1 - share) * ends[:, 1])
+        moves = [
+            part * np.broadcast_to(one, points[-1].shape)
+            for end, part in ((0, share), (1, 1 - share))
+            for one in (*np.eye(3)[:2], np.cross(np.eye(3)[2], ends[:, end]))
+        ]
+        for column, move in zip(columns, moves, strict=True):
+            column.append(move)
+    return np.concatenate(points), [np.concatenate(column) for column in columns]
 
 
 def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]) -> dict[str, float]:
@@ -367,7 +554,7 @@ def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]
             length = _size(key, size, "length", problems)
             values, share = pattern_values(detector, key)
             if share < _LEAST_SHARE:
-                expected = "a pattern that displacements of whole parts make"
+                expected = "a pattern that displacements of whole parts or of the ends of wires make"
                 problems.append(Problem(key, f"{100 * share:.0f} % of it", expected))
             for name, value in values.items():
                 found[name] = found.get(name, 0.0) + length * value
@@ -424,7 +611,11 @@ def displacements_of(detector: Contents) -> AlignmentTable:
     detector : Contents
     """
     names = [f"{path}.{key}" for path in rigid_parts(detector) for key in PLACEMENT]
-    values = [float((value_at(detector, name) or (0.0,))[0]) for name in names]
+    finer = [f"{one.path}.sheets.{i}.{key}" for one in detector.cgem for i in range(one.sheets) for key in _OF_SHEETS]
+    finer += [f"{one.path}.{key}" for one in detector.wires for key in (*PLACEMENT, *END_SHIFT)]
+    known = {name: (value_of(detector, name) or (0.0,))[0] for name in (*names, *finer)}
+    names += [name for name in finer if known[name]]
+    values = [known[name] for name in names]
     none = (math.nan,) * len(names)
-    units = tuple("mm" if ".shift" in name else "rad" for name in names)
+    units = tuple("mm" if "shift" in name else "rad" for name in names)
     return AlignmentTable(tuple(names), units, tuple(values), none, none, none, ("fixed",) * len(names))

@@ -184,7 +184,7 @@ class Detector(Contents):
         ----------
         table : AlignmentTable, mapping or path
             Of `cgemit.align`; the CSV file that it writes; or numbers by name, such as ``{"cgem.L1.shift_x": 0.1}``,
-            mm and rad. Constants that were not determined stay as they are.
+            mm, rad and ns. Constants that were not determined stay as they are.
 
         Raises
         ------
@@ -211,8 +211,8 @@ class Detector(Contents):
             Standard deviations of random displacements: of the shifts and the turns of parts,
             ``{"cgem.*": ("100 um", "0.1 mrad")}``, or of one key, ``{"cgem.L1.shift_x": "50 um"}``; later ones count.
             A pattern and its size, ``{"telescope": "100 um"}``, is added as it is, as well as whole parts can follow
-            it. Patterns are radial, telescope, layer_rotation, curl, bowing, z_expansion, twist, elliptical, skew,
-            clamshell and sagitta.
+            it, or else the ends of wires (twist). Patterns are radial, telescope, layer_rotation, curl, bowing,
+            z_expansion, twist, elliptical, skew, clamshell and sagitta.
 
         Raises
         ------

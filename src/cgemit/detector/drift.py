@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.arrays import Floats
-from cgemit.detector.detector import Detector
 from cgemit.detector.keys import once
 from cgemit.detector.layers.wires import WireLayer
 from cgemit.detector.parts import Contents
@@ -237,7 +236,7 @@ def _error_key(layer: WireLayer) -> tuple[Any, ...]:
 Rows = npt.NDArray[np.integer[Any]]
 
 
-def check_wire_times(detector: Detector) -> None:
+def check_wire_times(detector: Contents) -> None:
     """Raise an error if a detector does not say how signals run along its wires.
 
     Parameters
@@ -265,7 +264,7 @@ def check_wire_times(detector: Detector) -> None:
         )
 
 
-def propagation_time(detector: Detector, layer: Rows, z: Floats | float) -> Floats:
+def propagation_time(detector: Contents, layer: Rows, z: Floats | float) -> Floats:
     """Return the time of signals from a place on the wire to the end that is read out, |z - z_end|/v, (n,) float64, ns.
 
     Parameters
@@ -284,7 +283,7 @@ def propagation_time(detector: Detector, layer: Rows, z: Floats | float) -> Floa
     return np.asarray(np.abs(z - end) / speed, np.float64)
 
 
-def _of_layers(detector: Detector, layer: Rows, *names: str) -> tuple[Floats, ...]:
+def _of_layers(detector: Contents, layer: Rows, *names: str) -> tuple[Floats, ...]:
     """Return values of the wire layers with these numbers, (n,) float64 each."""
     check_wire_times(detector)
     layers = detector.wires

@@ -16,7 +16,10 @@ from cgemit.draw.style import COLORS, SERIES, Picture, grid, new_picture, style
 if TYPE_CHECKING:
     from cgemit.calibration.forecast import AlignmentForecast
 
-_SHORT = {"mm": (1e3, "um"), "rad": (1e6, "urad"), "": (1.0, "1")}
+_SHORT = {"mm": (1e3, "um"), "rad": (1e6, "urad"), "ns": (1.0, "ns"), "": (1.0, "1")}
+
+
+_MOST_LABELS = 10  # of parts
 
 
 def draw_constants(found: Alignment | AlignmentForecast) -> Picture:
@@ -49,22 +52,29 @@ def draw_constants(found: Alignment | AlignmentForecast) -> Picture:
 
 def _errors(axes: Axes, found: Alignment | AlignmentForecast) -> None:
     table = found.table
-    parts = list(dict.fromkeys(name.rpartition(".")[0] for name in table.name))
-    keys = list(dict.fromkeys(name.rpartition(".")[2] for name in table.name))
+    names = [_part_and_key(name) for name in table.name]
+    parts, keys = (list(dict.fromkeys(one[i] for one in names)) for i in (0, 1))
     width = 0.8 / len(keys)
     for i, key in enumerate(keys):
         at, values = [], []
-        for name, unit, err in zip(table.name, table.unit, table.err, strict=True):
-            part, _, own = name.rpartition(".")
+        for (part, own), unit, err in zip(names, table.unit, table.err, strict=True):
             if own == key and np.isfinite(err):
                 at.append(parts.index(part) + (i - 0.5 * (len(keys) - 1)) * width)
                 values.append(_SHORT[unit][0] * err)
         axes.bar(at, values, width, color=SERIES[i % len(SERIES)], label=key)
-    axes.set(yscale="log", ylabel="error  (um, urad)", xticks=range(len(parts)))
-    axes.set_xticklabels(parts, rotation=20, ha="right")
+    units = [_SHORT[unit][1] for unit in ("mm", "rad", "ns", "") if unit in table.unit]
+    every = 1 + (len(parts) - 1) // _MOST_LABELS
+    axes.set(yscale="log", ylabel=f"error  ({', '.join(units)})", xticks=range(0, len(parts), every))
+    axes.set_xticklabels(parts[::every], rotation=20, ha="right")
     axes.set_ylim(top=2 * axes.get_ylim()[1])  # below the legend
     axes.legend(ncol=3, fontsize=7.5)
     grid(axes)
+
+
+def _part_and_key(name: str) -> tuple[str, str]:
+    """Return the part and the key of a constant; points of a relation are parts."""
+    part, _, key = name.rpartition(".")
+    return (name, "time") if part.endswith("drift_relation") else (part, key)
 
 
 def _convergence(axes: Axes, found: Alignment) -> None:
@@ -127,6 +137,10 @@ def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, value
         plane = outer & (np.abs(points[:, 1 - up]) < 1e-6)
         for one, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, up))):
             _quiver(one, points[rows][:, columns], moved[rows][:, columns])
+    if not reach.any():  # a mode of sheets, wires or drift times
+        every = np.concatenate([points for points, _ in parts])
+        reach = np.array([np.hypot(every[:, 0], every[:, 1]).max(), np.abs(every[:, 2]).max()])
+        along.text(0, 0, "no whole part moves", ha="center", va="center", fontsize=8)
     across, beam = 1.4 * reach
     along.set(xlabel="x  (mm)", aspect="equal", xlim=(-across, across), ylim=(-across, across))
     side.set(xlabel="z  (mm)", ylabel=f"{'xy'[up]}  (mm)", xlim=(-beam, beam), ylim=(-across, across))

@@ -23,6 +23,7 @@ from cgemit.detector.readouts import (
     part_of,
 )
 from cgemit.reconstruction.cluster_errors import read_error_factors, with_factors
+from cgemit.helix import wrap_angle
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
@@ -205,3 +206,33 @@ def in_layers(detector: Detector, clusters: Table) -> Table:
     sine = np.sin([layer.stereo for layer in layers])[clusters["layer"]]
     # Columns of a view that is not measured are no numbers, and stay so.
     return clusters.with_columns(v=clusters["v"] - shift * sine, z=clusters["z"] + shift)
+
+
+def read_by(detector: Detector, described: Detector, clusters: Table) -> Table:
+    """Return the clusters that another description makes of the same strips.
+
+    Parameters
+    ----------
+    detector : Detector
+        With other Lorentz shifts, and other places of the sheets in their layers.
+    described : Detector
+        That made the clusters.
+    clusters : Table
+    """
+    x, v, phi, z = (clusters[name].copy() for name in ("x", "v", "phi", "z"))
+    changed = False
+    for number, (old, new) in enumerate(zip(described.layers, detector.layers, strict=True)):
+        shift = (new.lorentz_shift or 0.0) - (old.lorentz_shift or 0.0)
+        if not shift and (old.sheet_z, old.sheet_phi) == (new.sheet_z, new.sheet_phi):
+            continue
+        changed = True
+        mine = np.flatnonzero(clusters["layer"] == number)
+        sheet = clusters["sheet"][mine]
+        moved, turned = (
+            np.subtract(b, a)[sheet] for a, b in ((old.sheet_z, new.sheet_z), (old.sheet_phi, new.sheet_phi))
+        )
+        x[mine] -= shift
+        v[mine] -= shift * np.cos(new.stereo) + moved * np.sin(new.stereo)
+        z[mine] += moved
+        phi[mine] = wrap_angle(phi[mine] - shift / new.r_readout + turned)
+    return clusters.with_columns(x=x, v=v, phi=phi, z=z) if changed else clusters

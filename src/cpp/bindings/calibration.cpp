@@ -90,7 +90,8 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
                   const Array<double>& reference_array, const Array<double>& kinks_array,
                   const Array<double>& mass_array, const Array<double>& charge_array,
                   const Array<double>& matter_p_array, const Array<double>& start_radius,
-                  const std::array<double, 5>& prior_sigma, bool bias, bool scattering, bool scalar) {
+                  const std::array<double, 5>& prior_sigma, bool bias, bool scattering, bool innovations,
+                  bool scalar) {
   const ColumnMap map = column_map(detector, map_values);
   const auto offsets = hit_offsets_of(hit_offsets);
   const std::size_t n = offsets.size() - 1;
@@ -126,6 +127,7 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
   std::vector<double> normal(columns * columns), right(columns), measured(columns),
       biases(bias ? n * columns * 5 : 0);
   std::vector<SummedTrack> rows(n);
+  InnovationRows innovation_rows;
   const auto sums = scalar ? scalar_kernels().alignment_sums : kernels().alignment_sums;
   {
     py::gil_scoped_release release;
@@ -149,7 +151,9 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
             .right = right.data(),
             .measured = measured.data(),
             .rows = rows.data() + begin,
-            .bias = bias ? biases.data() + begin * columns * 5 : nullptr});
+            .bias = bias ? biases.data() + begin * columns * 5 : nullptr,
+            .innovations = innovations ? &innovation_rows : nullptr,
+            .first_track = static_cast<std::int64_t>(begin)});
     }
   }
   throw_if_interrupted();
@@ -161,6 +165,16 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
   out["right"] = to_numpy(std::move(right));
   out["measured"] = to_numpy(std::move(measured));
   if (bias) out["bias"] = to_numpy(std::move(biases), {tracks, width, 5});
+  if (innovations) {
+    py::dict of_rows;
+    of_rows["track"] = to_numpy(std::move(innovation_rows.track));
+    of_rows["residual"] = to_numpy(std::move(innovation_rows.residual));
+    of_rows["variance"] = to_numpy(std::move(innovation_rows.variance));
+    of_rows["ends"] = to_numpy(std::move(innovation_rows.ends));
+    of_rows["column"] = to_numpy(std::move(innovation_rows.column));
+    of_rows["derivative"] = to_numpy(std::move(innovation_rows.derivative));
+    out["innovations"] = of_rows;
+  }
   return out;
 }
 
@@ -173,8 +187,9 @@ void bind_calibration(py::module_& module) {
       "sums", &run_sums, py::arg("detector"), py::kw_only(), py::arg("columns"), py::arg("hit_offsets"),
       py::arg("hits"), py::arg("reference"), py::arg("kinks"), py::arg("mass"), py::arg("charge"),
       py::arg("matter_p"), py::arg("start_radius"), py::arg("prior_sigma"), py::arg("bias") = false,
-      py::arg("scattering") = true, py::arg("scalar") = false,
+      py::arg("scattering") = true, py::arg("innovations") = false, py::arg("scalar") = false,
       "Sums of the normal equations of constants of the detector over tracks, each about the reference of "
       "its fit; the helix, covariance and chi-square of every track with this prior; with `bias` the "
-      "derivatives of each helix by the constants.");
+      "derivatives of each helix by the constants; with `innovations` the independent rows that the sums are "
+      "of.");
 }

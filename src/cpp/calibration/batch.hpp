@@ -94,7 +94,7 @@ class SumsBatch {
     trace(first, n);
     if (!tracks_.scattering) forget_noise();
     const mask_of<T> good = filter_tracks(first, n);
-    if (columns_ > 0) push(good);
+    if (columns_ > 0) push(good, first);
     if (out_.bias != nullptr) write_bias(first, n);
   }
 
@@ -181,13 +181,16 @@ class SumsBatch {
   }
 
   // From the outermost measurement inward, as the filter. A column is zero up to its first measurement.
-  void push(mask_of<T> good) {
+  void push(mask_of<T> good, std::size_t first) {
     std::ranges::fill(reached_, 0);
     active_.clear();
     for (std::size_t i = group_.steps.size(); i-- > 0;) {
       const GroupStep& step = group_.steps[i];
-      for (std::int32_t s = step.last; s-- > step.first;)
-        push(group_.slots[static_cast<std::size_t>(s)], good);
+      for (std::int32_t s = step.last; s-- > step.first;) {
+        const Slot<T>& slot = group_.slots[static_cast<std::size_t>(s)];
+        push(slot, good);
+        if (out_.innovations != nullptr) note(slot, slot.used & good, first);
+      }
     }
   }
 
@@ -218,6 +221,25 @@ class SumsBatch {
       const T e = inverse * innovation_[active_[i]];
       T* const entries = &normal_[active_[i] * columns_];
       for (std::size_t j = i; j < active_.size(); ++j) entries[active_[j]] += e * innovation_[active_[j]];
+    }
+  }
+
+  void note(const Slot<T>& slot, mask_of<T> who, std::size_t first) const {
+    InnovationRows& rows = *out_.innovations;
+    for (int k = 0; k < lanes_of<T>; ++k) {
+      if (!lane(who, k)) continue;
+      const std::size_t before = rows.column.size();
+      for (const std::size_t c : active_) {
+        const double e = lane(innovation_[c], k);
+        if (e == 0) continue;
+        rows.column.push_back(static_cast<std::int32_t>(c));
+        rows.derivative.push_back(e);
+      }
+      if (rows.column.size() == before) continue;
+      rows.ends.push_back(static_cast<std::int64_t>(rows.column.size()));
+      rows.track.push_back(out_.first_track + static_cast<std::int64_t>(first) + k);
+      rows.residual.push_back(lane(slot.innovation, k));
+      rows.variance.push_back(1 / lane(slot.inverse, k));
     }
   }
 

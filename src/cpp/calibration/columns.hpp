@@ -20,7 +20,8 @@ namespace cgemit {
 using RigidColumns = std::array<int, 6>;
 
 // A constant that changes drift distances: its column, and the change of the distance for a constant of 1 at
-// distances 0, `drift_step`, 2 `drift_step` ...
+// distances (of the track: those that are measured are larger on average where cells end) of 0, `drift_step`,
+// 2 `drift_step` ...
 struct DriftColumn {
   int column;
   std::vector<double> change;
@@ -35,7 +36,7 @@ struct ColumnMap {
   std::array<double, 9> chamber_turn{1, 0, 0, 0, 1, 0, 0, 0, 1};  // as in Placement
   std::array<double, 3> chamber_shift{};                          // mm, of the point about which it turns
   std::vector<RigidColumns> wires, east, west;  // layers of wires; their ends at +z and at -z
-  std::vector<int> lorentz, z_scale;            // mm of X; relative
+  std::vector<int> lorentz, z_scale;            // mm of X; length along the beam, relative
   std::vector<std::vector<DriftColumn>> drift;  // of layers of wires
   double drift_step = 1;                        // mm
   int field = -1;                               // ln of the field
@@ -45,6 +46,7 @@ struct ColumnMap {
 template <class T>
 struct MeasuredAt {
   std::array<T, 3> point, gradient;  // mm; in the beam's axes
+  T z_wire;                          // mm, of the closest point of the wire
 };
 
 // The observer of a trace that notes where the measurements of a group are.
@@ -66,6 +68,7 @@ class ColumnObserver : public NoObserver {
     if (slot.view == View::wire) {
       const ApproachOf<T> approach = distance_to_wire(at, slot.wire);
       site.gradient = {approach.nx, approach.ny, approach.nz};
+      site.z_wire = approach.z_wire;
       return;
     }
     const MeasuringLayer& layer = detector_->layers[static_cast<std::size_t>(slot.layer)];
@@ -185,7 +188,7 @@ class ColumnRow {
     }
     const bool is_x = slot.view == View::x;
     add(map_.lorentz[number], who, is_x ? T(1.0) : T(layer.cos_stereo) - slot.k);
-    if (!is_x) add(map_.z_scale[number], who, -layer.sin_stereo * site.point[2]);
+    if (!is_x) add(map_.z_scale[number], who, layer.sin_stereo * point[2]);
   }
 
   // Wires of different layers may share a slot.
@@ -201,17 +204,23 @@ class ColumnRow {
       const mask_of<T> one = only(k);
       rigid(map_.wires[number], one, site.gradient, site.point, T(1.0), in_place);
       const Ends& ends = detector.wires[number].ends;
-      const T share = (site.point[2] - ends.low) * (1 / (ends.high - ends.low));
+      const T share = (site.z_wire - ends.low) * (1 / (ends.high - ends.low));
       const auto end = [&](double z) {
         return std::array<T, 3>{slot.wire.x + slope_x * z, slot.wire.y + slope_y * z, T(z)};
       };
       rigid(map_.east[number], one, site.gradient, end(ends.high), share, in_place);
       rigid(map_.west[number], one, site.gradient, end(ends.low), 1.0 - share, in_place);
-      const double drift = std::abs(hit.value), side = drift > 0 ? lane(slot.value, k) / drift : 0;
+      const double drift = std::abs(hit.value), value = lane(slot.value, k);
+      // A value between both sides of a wire tells nothing of its distance.
+      if (std::abs(value) < certain * drift) continue;
+      const double side = value < 0 ? -1 : 1, distance = std::abs(lane(slot.predicted, k));
       for (const DriftColumn& column : map_.drift[number])
-        add(column.column, one, T(side * at(column.change, drift / map_.drift_step)));
+        add(column.column, one, T(side * at(column.change, distance / map_.drift_step)));
     }
   }
+
+  // Share of its distance that the value of a wire hit keeps where its side is known.
+  static constexpr double certain = 0.99;
 
   static mask_of<T> only(int k) {
     mask_of<T> mask(false);

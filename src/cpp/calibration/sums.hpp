@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <span>
 #include <tuple>
+#include <vector>
 
 #include "calibration/columns.hpp"
 #include "common/columns.hpp"
@@ -53,15 +54,28 @@ struct SummedTrack {
   }
 };
 
+// The innovations of the measurements of tracks, with the derivatives by the constants that they still have:
+// they are independent, so that N = sum e e'/S and b = sum e e_r/S over them.
+struct InnovationRows {
+  std::vector<std::int64_t> track;         // of each row
+  std::vector<double> residual, variance;  // e_r in mm, S in mm^2
+  std::vector<std::int64_t> ends;          // of the derivatives of each row
+  std::vector<std::int32_t> column;        // of each derivative
+  std::vector<double> derivative;          // e
+};
+
 // `normal` (columns squared), `right` and `measured` (columns) are sums, to which the tracks are added;
 // `measured` is the information that hits would have of a constant if helices were known. `rows`: one for
 // each track. `bias` may be null; otherwise it receives the (columns, 5) derivatives of each helix.
+// `innovations` may be null; tracks are counted from `first_track`, rows without a derivative are left out.
 struct SumsOutput {
   double* normal;
   double* right;
   double* measured;
   SummedTrack* rows;
   double* bias;
+  InnovationRows* innovations;
+  std::int64_t first_track;
 };
 
 // The scalar code without SIMD lanes.

@@ -50,9 +50,26 @@ def test_a_forecast_needs_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert not (out / "detector.toml").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_end_plates_times_and_records_for_pede(folder: Path, tmp_path: Path) -> None:
+    from cgemit.calibration.mille import read_mille
+
+    plates, time = "drift_chamber.plates.8-9.*_rotation", "drift_chamber.layers.20.t0"
+    line = ["align", str(folder), "--free", plates, "--free", time, "--plates", "2,33", "--pairs", "none"]
+    line += ["--mille", str(tmp_path / "mille.bin"), "-o", str(tmp_path / "out")]
+    assert main(line) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    names = [one["name"] for one in report["constants"]]
+    assert names == [plates.replace("*", "east"), plates.replace("*", "west"), time]
+    assert sum(1 for _ in read_mille(tmp_path / "mille.bin")) > 190
+    assert (tmp_path / "mille.txt").is_file()
+
+
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
+        (["align", "--forecast", "-d", "besiii-cgem", "--muons", "10", "--mille", "mille.bin"], "nor --mille"),
+        (["align", "--forecast", "-d", "besiii-cgem", "--muons", "10", "--plates", "2,2"], "plates: got 4 wire layers"),
         (["align"], "expected folders of runs"),
         (["align", "--forecast", "-d", "besiii-cgem"], "--muons N"),
         (["align", "--forecast", "-d", "besiii-cgem", "--muons", "10", "--free", "cgem.L7"], "free: got 'cgem.L7'"),

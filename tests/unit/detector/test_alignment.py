@@ -75,10 +75,25 @@ def test_whole_parts_follow_a_pattern(name: str) -> None:
         assert l1["tilt_y"] < 0  # z grows with x
 
 
-@pytest.mark.parametrize("name", [name for name in PATTERNS if name not in FOLLOWED])
+@pytest.mark.parametrize("name", [name for name in PATTERNS if name not in (*FOLLOWED, "twist")])
 def test_patterns_that_whole_parts_cannot_follow_are_refused(name: str) -> None:
     with pytest.raises(cg.DetectorError, match=f"{name}.*displacements of whole parts"):
         DETECTOR.misaligned(1, {name: "100 um"})
+
+
+def test_ends_of_wires_follow_a_twist() -> None:
+    """They turn against each other, by the angle of the pattern at each end; nothing else moves."""
+    values, share = pattern_values(DETECTOR, "twist")
+    assert share == pytest.approx(1, abs=0.02)  # wires are straight
+    outer = max(layer.r_end for layer in DETECTOR.wires)
+    longest = max(layer.half_length for layer in DETECTOR.wires)
+    for layer in DETECTOR.wires:
+        for end, z in (("east", layer.ends[1]), ("west", layer.ends[0])):
+            assert values[f"{layer.path}.{end}_rotation"] == pytest.approx(z / longest / outer, rel=0.05)
+    assert all(abs(value) < 1e-4 for name, value in values.items() if "shift" in name)
+    found = DETECTOR.misaligned(1, {"twist": "100 um"})
+    assert not any(layer.is_moved for layer in found.cgem)
+    assert found.wires[0].east_rotation > 0 > found.wires[0].west_rotation
 
 
 def test_patterns_are_at_most_about_one() -> None:
