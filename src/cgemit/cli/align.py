@@ -78,10 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
+    pairs: Any = tuple(one for one in arguments.pairs or ("cosmic",) if one != "none")
     settings = AlignmentSettings(
         free=tuple(arguments.free or ("cgem.*",)), fixed=tuple(arguments.fix), calibrate=tuple(arguments.calibrate),
         priors=tuple(arguments.prior), zero_modes=arguments.zero_modes, plates=arguments.plates,
-        pairs=tuple(one for one in arguments.pairs or ("cosmic",) if one != "none"),
+        pairs=pairs,
     )  # fmt: skip
     found: Alignment | AlignmentForecast
     if arguments.forecast:

@@ -244,10 +244,10 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
             )
     found |= {path: Known(value) for path, value in numbers.items()}
     for path, whole in sheets.items():
-        key = (value_at(detector, path) or (None, None))[1]
-        if key is not None and not all(key.low <= one <= key.high for one in whole):
+        now = value_at(detector, path)
+        if now is not None and not all(now[1].low <= one <= now[1].high for one in whole):
             given = ", ".join(f"{one:g}" for one in whole)
-            problems.append(Problem(path, given, f"numbers from {key.low:g} to {key.high:g}"))
+            problems.append(Problem(path, given, f"numbers from {now[1].low:g} to {now[1].high:g}"))
         found[path] = Known(tuple(whole))
     for wires in _wire_layers(detector, None):
         if wires.number not in points:
