@@ -22,8 +22,8 @@ from cgemit.detector.readouts import (
     names_of,
     part_of,
 )
-from cgemit.reconstruction.cluster_errors import read_error_factors, with_factors
 from cgemit.helix import wrap_angle
+from cgemit.reconstruction.cluster_errors import read_error_factors, with_factors
 from cgemit.reconstruction.clusterers.binary import BinaryClusterer
 from cgemit.reconstruction.clusterers.charge import ChargeClusterer, ChargeTimeClusterer, ProjectionClusterer
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
