@@ -243,12 +243,12 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
                 Problem(name, f"{change:g}", f"a wire layer of the detector, and {nodes[0]} to {nodes[-1]} mm")
             )
     found |= {path: Known(value) for path, value in numbers.items()}
-    for path, whole in sheets.items():
+    for path, of_sheets in sheets.items():
         now = value_at(detector, path)
-        if now is not None and not all(now[1].low <= one <= now[1].high for one in whole):
-            given = ", ".join(f"{one:g}" for one in whole)
+        if now is not None and not all(now[1].low <= one <= now[1].high for one in of_sheets):
+            given = ", ".join(f"{one:g}" for one in of_sheets)
             problems.append(Problem(path, given, f"numbers from {now[1].low:g} to {now[1].high:g}"))
-        found[path] = Known(tuple(whole))
+        found[path] = Known(tuple(of_sheets))
     for wires in _wire_layers(detector, None):
         if wires.number not in points:
             continue

@@ -204,7 +204,8 @@ def seedless(detector: Detector, settings: FindSettings | None = None) -> str:
     wires, views = wire_layers(detector), [layer.views for layer in detector.layers]
     x, v = (np.array([name in one for one in views], np.bool_) for name in "XV")
     # Of straight tracks from the origin: where all layers are about z = 0, one across the beam crosses all of them.
-    low, high, r = np.array([(*one.ends, one.r_mid) for one in (*detector.layers, *wires)]).reshape(-1, 3).T
+    places = [(*one.ends, one.r_mid) for one in detector.layers] + [(*one.ends, one.r_mid) for one in wires]
+    low, high, r = np.array(places).reshape(-1, 3).T
     slope = np.append(low / r, 0.0)[:, None]
     crossed, on_wires = np.split((low / r <= slope) & (slope < high / r), [len(views)], axis=1)
     twist = np.sign([layer.twist for layer in wires])
