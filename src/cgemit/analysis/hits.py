@@ -66,6 +66,13 @@ class HitResiduals(Shown, Tabular):
         Angle of the track to the radius.
     p : ndarray, (n,) float64, GeV/c
         Momentum of the track there.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
+    >>> hits = cg.study.hit_residuals(r)
+    >>> sorted(set(hits.view.tolist())), bool(abs(hits.p - 1).max() < 0.1)
+    ([0, 1, 2], True)
     """
 
     event: npt.NDArray[np.int64]
@@ -172,6 +179,13 @@ class ResidualTable(Shown, Tabular):
         NaN with fewer than two hits.
     pull, err_pull : ndarray, (n,) float64
         RMS of residual over error.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
+    >>> table = cg.study.hit_residuals(r).binned("layer", edges=[0, 1, 2, 3])
+    >>> table.by, table.low[:3].tolist()
+    ('layer', [0.0, 1.0, 2.0])
     """
 
     by: str
@@ -324,6 +338,13 @@ class LayerEfficiencies(Shown, Tabular):
         Shares with an X cluster, a V cluster and both near the track; NaN without tracks.
     err_x, err_v, err_both : ndarray, (n,) float64
         Half of the 68 % interval of Wilson.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
+    >>> found = cg.study.layer_efficiencies(r)
+    >>> sorted(set(found.label)), found.region[0]
+    (['L1', 'L2', 'L3'], 'all')
     """
 
     label: list[str]

@@ -131,6 +131,13 @@ class LorentzAngles(Shown, Tabular):
     assumed, angle, err : ndarray, (n,) float64
         rad, without sign: what the clusters were made with, what the residuals tell, and its error. NaN with fewer than
         20 hits.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=40, readout="tiger")
+    >>> found = cg.lorentz_angles(r)
+    >>> found.label
+    ['L1', 'L2', 'L3', 'all']
     """
 
     label: list[str]

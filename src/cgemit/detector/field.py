@@ -202,7 +202,12 @@ class FieldGrid:
         return max(off, float((np.abs(divergence) * 0.5 * step).max())) / max(self.largest(), 1e-300)
 
     def within(self, radius: float, z: float) -> FieldGrid:
-        """Return the part of the grid that holds all points up to a radius and a distance along the beam, mm."""
+        """Return the part of the grid that holds all points up to a radius and a distance along the beam.
+
+        Parameters
+        ----------
+        radius, z : float, mm
+        """
         axes, values = [], self.values
         for number, axis in enumerate(self.axes):
             reach = z if axis.name == "z" else radius

@@ -111,6 +111,12 @@ class MaterialScan(Shown, Tabular):
     hits : dict of str to ndarray, (n,) float64
         Crossed layers that measure: ``cgem``, ``layers`` (others of positions) and ``wires``, those that the detector
         has.
+
+    Examples
+    --------
+    >>> found = cg.material_scan("besiii-cgem", [0.0])
+    >>> list(found.x0), found.columns()["hits_wires"]
+    (['pipe', 'air', 'L1', 'L2', 'L3', 'wall', 'gas'], [35.0])
     """
 
     detector: str

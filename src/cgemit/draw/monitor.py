@@ -91,6 +91,13 @@ def draw_strip_signals(detector: Detector, digis: Table, arrival: Floats, longes
     Returns
     -------
     Picture
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
+    >>> page = cg.study.monitor(r)
+    >>> cg.draw.draw_strip_signals(r.detector, r.digis, page.arrival, page.longest).axes[0].get_xlabel()
+    'time after the first electrons (ns)'
     """
     with style():
         picture, axes = new_picture(1, 2, (11.4, 4.2))

@@ -48,6 +48,13 @@ class RunMonitor:
     efficiencies : LayerEfficiencies
     angles : LorentzAngles or None
         None without a readout that measures time.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
+    >>> page = cg.study.monitor(r)
+    >>> [strips["layer"] for strips in page.strips[:2]]
+    ['L1', 'L1']
     """
 
     result: Result

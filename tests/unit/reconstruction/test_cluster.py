@@ -339,8 +339,8 @@ def test_settings_list_every_problem():
     wrong = r"position: got 'middle'(?s:.*)reference_p: got -1(?s:.*)reference_cos_theta: got 1.2"
     with pytest.raises(ValueError, match=wrong):
         ClusterSettings(position="middle", reference_p=-1, reference_cos_theta=1.2)
-    with pytest.raises(ValueError, match=r"reference_p: got '1'(?s:.*)reference_cos_theta: got None"):
-        ClusterSettings(reference_p="1", reference_cos_theta=None)
+    with pytest.raises(ValueError, match=r'reference_p: got "x"(?s:.*)reference_cos_theta: got None'):
+        ClusterSettings(reference_p="x", reference_cos_theta=None)
 
 
 DESIGN = "besiii-cgem-design"

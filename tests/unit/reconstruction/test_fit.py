@@ -89,7 +89,7 @@ def test_every_mistake_is_listed():
         ("hypothesis", ("pi", "all")), ("max_iterations", "3"), ("max_iterations", 2.5), ("max_iterations", math.nan),
         ("max_iterations", 10**12), ("max_iterations", True), ("tolerance", "x"), ("tolerance", None),
         ("tolerance", 10**400), ("least_width", True), ("delta_strips", "a"), ("outlier_pull", None),
-        ("prior_sigma", 1), ("prior_sigma", (1, 1, "1", 1, 1)),
+        ("prior_sigma", 1), ("prior_sigma", (1, 1, "x", 1, 1)),
     ],
 )  # fmt: skip
 def test_values_of_any_type_are_named(name, value):
