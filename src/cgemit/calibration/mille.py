@@ -148,11 +148,13 @@ def _steering(binary: str, found: Solution) -> str:
     """Return a steering file: surveys as measurements, zero modes as constraints."""
     lines = ["* Records of cgemit; labels:"]
     lines += [f"* {i + 1} {one.name} [{one.unit or '1'}]" for i, one in enumerate(found.constants)]
-    lines += ["Cfiles", binary, "Parameter"]
-    lines += [f"{i + 1} 0.0 {survey:.10g}" for i, survey in enumerate(found.prior) if np.isfinite(survey)]
-    lines += [
-        f"{i + 1} 0.0 -1.0" for i in range(len(found.constants)) if not (found.measured[i] > 0 or found.prior[i] > 0)
-    ]
+    lines += ["Cfiles", binary]
+    unknown = [i for i in range(len(found.constants)) if not (found.measured[i] > 0 or found.prior[i] > 0)]
+    if unknown:
+        lines += ["Parameter", *(f"{i + 1} 0.0 -1.0" for i in unknown)]
+    # A pre-sigma would hold the steps of an iteration alone, not the values.
+    for i in np.flatnonzero(np.isfinite(found.prior)):
+        lines += [f"Measurement 0.0 {found.prior[i]:.10g} ! survey", f"{i + 1} 1.0"]
     for name, zero in zip(found.zero_modes, found.zeros, strict=True):
         lines += [f"Constraint 0.0 ! {name}"]
         shares = zero * found.measured / np.abs(zero * found.measured).max()

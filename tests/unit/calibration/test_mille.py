@@ -53,7 +53,7 @@ def test_records_hold_the_normal_equations(run: cg.Result, tmp_path: Path) -> No
     np.testing.assert_allclose(np.linalg.solve(total + survey, right), found.value, rtol=1e-7, atol=1e-9)
     steering = (tmp_path / "mille.txt").read_text()
     assert "* 3 cgem.L1.shift_z [mm]" in steering
-    assert "3 0.0 0.2\n" in steering
+    assert "Measurement 0.0 0.2 ! survey\n3 1.0\n" in steering
 
 
 def test_zero_modes_are_constraints_of_the_steering_file(run: cg.Result, tmp_path: Path) -> None:
@@ -88,3 +88,44 @@ def test_files_are_not_overwritten(run: cg.Result, tmp_path: Path) -> None:
     (tmp_path / "mille.bin").write_text("mine")
     with pytest.raises(FileExistsError):
         cg.write_mille(tmp_path / "mille.bin", run, SETTINGS)
+
+
+def steered(path: Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the information of the surveys of a steering file, (n,), and its constraints, (constraints, n)."""
+    lines = path.read_text().splitlines()
+    constants = sum(line.startswith("* ") for line in lines) - 1
+    survey, constraints = np.zeros(constants), list[npt.NDArray[np.float64]]()
+    error = None
+    for line in lines:
+        words = line.split()
+        if words[0] == "Measurement":
+            assert float(words[1]) == 0
+            error = float(words[2])
+        elif words[0] == "Constraint":
+            assert float(words[1]) == 0
+            constraints.append(np.zeros(constants))
+            error = None
+        elif words[0].isdigit() and error is not None:
+            assert float(words[1]) == 1
+            survey[int(words[0]) - 1] = 1 / error**2
+        elif words[0].isdigit():
+            constraints[-1][int(words[0]) - 1] = float(words[1])
+    return survey, np.array(constraints).reshape(-1, constants)
+
+
+@pytest.mark.parametrize("case", ["surveys", "zero_modes"])
+def test_pede_finds_the_same(case: str) -> None:
+    """Constants and errors that pede printed for records and a steering file of `write_mille` (pages/reference/pede)."""
+    folder = Path(__file__).parents[3] / "pages" / "reference" / "pede"
+    survey, constraints = steered(folder / f"{case}.txt")
+    total, right = normal(read_mille(folder / f"{case}.bin"), len(survey))
+    scale = np.concatenate([1 / np.sqrt(np.diagonal(total)), np.ones(len(constraints))])
+    none = np.zeros((len(constraints), len(constraints)))
+    bordered = np.block([[total + np.diag(survey), constraints.T], [constraints, none]]) * np.outer(scale, scale)
+    inverse = np.linalg.inv(bordered) * np.outer(scale, scale)
+    value = inverse[: len(survey), : len(survey)] @ right
+    error = np.sqrt(np.diagonal(inverse)[: len(survey)])
+    printed = np.array([line.split() for line in (folder / f"{case}.res").read_text().splitlines()[1:]], float)
+    np.testing.assert_array_equal(printed[:, 0], np.arange(1, len(survey) + 1))
+    assert np.abs((value - printed[:, 1]) / error).max() < 1e-3
+    np.testing.assert_allclose(error, printed[:, 4], rtol=1e-3)
