@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
@@ -33,6 +33,10 @@ EPIC = {
     (0.5, 1.0): {"p": (0.5, 0.051), "dr": (6.8, 28.3), "dz": (5.7, 35.1)},
 }
 EPIC_MOMENTA = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+MUON = 0.1056583755  # GeV, its mass
+
+#: Abstract of the paper with this title: sigma(pT)/pT ~ 0.5 % at 1 GeV.
+CGEM = "*A cylindrical GEM detector with analog readout for the BESIII experiment*, abstract"
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,30 @@ class Published:
 
 
 @dataclass(frozen=True)
+class Statement:
+    """What an experiment publishes of its tracks across the beam: per cent or um of the momentum in GeV/c."""
+
+    preset: str
+    quantity: str
+    formula: str
+    value: Callable[[float], float]
+    momenta: tuple[float, ...]
+    source: str
+    bound: bool = False  # a requirement, not a resolution
+
+
+@dataclass(frozen=True)
+class Stated:
+    """An expected resolution of muons across the beam beside a published statement: GeV/c, per cent or um."""
+
+    preset: str
+    quantity: str
+    momentum: float
+    expected: float
+    published: float
+
+
+@dataclass(frozen=True)
 class Core:
     """The core width of simulated muons of 1 GeV/c over the expected one."""
 
@@ -66,6 +94,36 @@ class Core:
     quantity: str
     ratio: float
     error: float
+
+
+def inverse_beta(p: float) -> float:
+    """Return 1/beta of a muon."""
+    return float(np.hypot(1, MUON / p))
+
+
+STATEMENTS = (
+    Statement("besiii-idc", "p", "0.5 %", lambda p: 0.5, (1,), "english.ihep.cas.cn/bes/doc/2124.html"),
+    Statement("besiii-cgem", "p", "about 0.5 %", lambda p: 0.5, (1,), CGEM),
+    Statement("besiii-cgem-design", "p", "about 0.5 %", lambda p: 0.5, (1,), CGEM),
+    Statement(
+        "belle2-like", "p", "0.1 % pT ⊕ 0.3 %/β",
+        lambda p: float(np.hypot(0.1 * p, 0.3 * inverse_beta(p))), (0.3, 1, 3),
+        "`resolutions_SuperKEKB` in python/resolutions_cfi.py of github.com/veelken/tautau-Entanglement",
+    ),
+    Statement(
+        "idea-like", "p", "0.01145 % ⊕ 0.02024 % √pT ⊕ 0.002093 % pT",
+        lambda p: float(np.hypot(np.hypot(0.01145, 0.02024 * p**0.5), 0.002093 * p)), (1, 5, 10, 20, 50, 100),
+        "cards/delphes_card_IDEA.tcl of github.com/delphes/delphes at 3051358",
+    ),
+    Statement(
+        "epic-like", "p", "0.05 % p + 0.5 %", lambda p: 0.05 * p + 0.5, (1, 10, 20),
+        "eic.jlab.org/Requirements/DET.html, 6.03.01.02, −1 < η < 1", True,
+    ),
+    Statement(
+        "idea-like", "dr", "5 µm ⊕ 15 µm/p", lambda p: float(np.hypot(5, 15 / p)), (1, 10, 100),
+        "requirements for detectors at FCC-ee, FCCee_MDI_Oct10.tex of github.com/oviazlo/presentations", True,
+    ),
+)  # fmt: skip
 
 
 def resolutions(
@@ -91,6 +149,16 @@ def expected(share: float) -> Numbers:
 def beside_epic(share: float) -> Numbers:
     """Compute the resolutions of `epic-like` where they are published."""
     return Numbers(list(_epic_rows()))
+
+
+def stated(share: float) -> Numbers:
+    """Compute the resolutions that experiments publish across the beam."""
+    rows = []
+    for one in STATEMENTS:
+        for p in one.momenta:
+            ours = resolutions(one.preset, "mu-", p, 0.0)[one.quantity]
+            rows.append(Stated(one.preset, one.quantity, p, ours, one.value(p)))
+    return Numbers(rows)
 
 
 def simulated(share: float) -> Numbers:
@@ -130,9 +198,24 @@ def blocks(found: Found) -> dict[str, str]:
             ratios.append([f"{name}, {low:g} < η < {high:g}", *(f"{row.expected / row.published:.2f}" for row in rows)])
     return {
         "expected": table(head, lines), "published": table(of_epic, ratios), "layers": _layers(),
+        "stated": _stated(found["stated"].rows),
         "simulated": _simulated(found["simulated"].rows),
         "lorentz": _lorentz_shifts(),
     }  # fmt: skip
+
+
+def _stated(rows: Sequence[Stated]) -> str:
+    """Return the table of published statements and the ratios to them."""
+    head, lines, left = ["preset", "published", "p [GeV/c]", "expected / published", "source"], [], list(rows)
+    for one in STATEMENTS:
+        here, left = left[: len(one.momenta)], left[len(one.momenta) :]
+        name, _ = QUANTITIES[one.quantity]
+        lines.append([
+            f"`{one.preset}`", f"{name} {'at most' if one.bound else '='} {one.formula}",
+            ", ".join(f"{row.momentum:g}" for row in here),
+            ", ".join(f"{row.expected / row.published:.2f}" for row in here), one.source,
+        ])  # fmt: skip
+    return table(head, lines)
 
 
 def _simulated(rows: Sequence[Core]) -> str:
@@ -213,6 +296,10 @@ def draw_published(found: Found) -> Figure:
 
 PAGE = Page(
     "presets", "docs/methods/detector.md", "10 s",
-    {"expected": (Resolution, expected), "epic": (Published, beside_epic), "simulated": (Core, simulated)}, blocks,
+    {
+        "expected": (Resolution, expected), "epic": (Published, beside_epic), "stated": (Stated, stated),
+        "simulated": (Core, simulated),
+    },
+    blocks,
     {"presets.png": draw_presets, "presets-published.png": draw_published},
 )  # fmt: skip

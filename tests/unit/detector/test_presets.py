@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import cgemit as cg
 from cgemit.detector import CgemLayer, DetectorError, detectors, load
 from cgemit.detector.core import layer_table
 from cgemit.detector.export import to_dict
@@ -278,15 +277,6 @@ def test_gas_of_the_chamber_without_axial_wires() -> None:
     assert gas.density == pytest.approx(total / 24_055, rel=1e-3)
     expected = sum(moles[name] / total / x0 for name, x0 in (("He", 94.32), ("C", 42.70), ("H", 63.04)))
     assert 10 / (expected * gas.density) == pytest.approx(gas.x0, rel=0.005)  # mm; g/cm2 of the PDG
-
-
-def test_expected_resolution_beside_the_published_one_of_besiii() -> None:
-    """The number in docs/methods/detector.md; the published one is larger by what the preset leaves out."""
-    found = cg.analytic("besiii-idc", "mu-", p=1.0, cos_theta=0.0)
-    percent = float(found.sigma_p) / 10
-    assert 0.7 * 0.5 < percent < 0.5
-    text = (Path(__file__).parents[3] / "docs" / "methods" / "detector.md").read_text(encoding="utf-8")
-    assert f"For `besiii-idc` {percent:.2f} % is" in text
 
 
 def test_a_chamber_with_unlike_ends_and_a_table_of_errors() -> None:
