@@ -201,15 +201,11 @@ def measure_loops(share: float) -> Numbers:
 
 def blocks(found: Found) -> dict[str, str]:
     """Return the table of samples, and the numbers within the text."""
-    heads = [f"`{name}`: findable, found, fakes, clones, hit purity [%] | ms" for name in BOTH]
-    rates = {(row.sample, row.detector): row for row in found["rates"].rows}
-    lines = []
-    for sample in SAMPLES:
-        if KLOE in sample.detectors:
-            continue  # in the text
-        rows = [rates[sample.name, detector] for detector in sample.detectors]
-        cells = [cell for row in rows for cell in (_shares(row), f"{row.time / 1000:.2g}")]
-        lines.append([sample.name, *cells, *[""] * (4 - len(cells))])
+    tables = []
+    for detector in BOTH:
+        rows = [row for row in found["rates"].rows if row.detector == detector]
+        lines = [[row.sample, *_shares(row), f"{row.time / 1000:.2g}"] for row in rows]
+        tables.append(table([f"`{detector}`", "findable", "found", "fakes", "clones", "hit purity", "ms"], lines))
     kloe = next(row for row in found["rates"].rows if row.detector == KLOE)
     many = [row for row in found["rates"].rows if row.limited >= MANY * row.events]
     limited = [f"{100 * row.limited / row.events:.0f} % ({row.sample}, `{row.detector}`)" for row in many]
@@ -219,7 +215,7 @@ def blocks(found: Found) -> dict[str, str]:
     }
     loops = [f"from {row.before:.0f} to {row.after:.0f} % for {row.sample}" for row in found["loops"].rows]
     return {
-        "rates": table(["events", *heads], lines),
+        "rates": "\n\n".join(tables),
         "limited": ", ".join(limited),
         "kloe": f"{kloe.efficiency:.4g} % of {kloe.particles}",
         "cores": f"{100 * changes['off']:.1f} %, and by up to {100 * changes['bes2009']:.1f} % with `bes2009`",
@@ -227,10 +223,10 @@ def blocks(found: Found) -> dict[str, str]:
     }
 
 
-def _shares(row: Rates) -> str:
+def _shares(row: Rates) -> list[str]:
     """Return the shares in %, without decimals where they are exact."""
     shares = (row.findable, row.efficiency, row.fakes, row.clones, row.purity)
-    return ", ".join(f"{share:.0f}" if share in (0.0, 100.0) else f"{share:.2f}" for share in shares)
+    return [f"{share:.0f}" if share in (0.0, 100.0) else f"{share:.2f}" for share in shares]
 
 
 PAGE = Page(
