@@ -486,7 +486,7 @@ def table(gas: str) -> dict[float, Floats]:
     Parameters
     ----------
     gas : str
-        Such as ``"ar-ic4h10-90-10"``.
+        ``"ar-ic4h10-90-10"``, ``"ar-co2-70-30"``, or without magnetic field ``"he-ic4h10-90-10"``, ``"he-c2h6-50-50"``.
 
     Returns
     -------
@@ -507,6 +507,7 @@ def transport(gas: str, e_field: float, b_field: float) -> Transport:
     Parameters
     ----------
     gas : str
+        Name of a `table`.
     e_field : float
         kV/cm.
     b_field : float
@@ -521,6 +522,8 @@ def transport(gas: str, e_field: float, b_field: float) -> Transport:
     if not b <= MAX_B:
         raise ValueError(f"magnetic field: got {b:g} T, expected 0 to {MAX_B:g} T, where {gas} is tabulated")
     rows = table(gas)
+    if b > max(rows) == 0:
+        raise ValueError(f"magnetic field: got {b:g} T, expected 0 T, where {gas} is tabulated")
     needed = (0.0,) if b == 0 else (1.0,) if b == 1 else (0.0, 1.0)
     low, high = (f(side[0] for side in (rows[i][:, 0][[0, -1]][::s] for i in needed)) for f, s in ((max, 1), (min, -1)))
     if not low <= e_field <= high:

@@ -324,11 +324,33 @@ def test_linear_between_and_beyond() -> None:
         (ISOBUTANE, 0.9, 1.0, r"expected 1 to 5 kV/cm.* at 1 T"),
         (CO2, 0.75, 1.0, r"expected 1.5 to 5 kV/cm"),  # without widths in the table
         (CO2, 5.1, 0.0, r"electric field: got 5.1 kV/cm"),
+        ("he-c2h6-50-50", 1.0, 0.5, r"magnetic field: got 0.5 T, expected 0 T, where he-c2h6-50-50 is tabulated"),
+        ("he-ic4h10-90-10", 20.0, 0.0, r"got 20 kV/cm, expected 0.05 to 10 kV/cm"),
     ],
 )  # fmt: skip
 def test_beyond_the_tables_is_an_error(gas: str, e: float, b: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         transport(gas, e, b)
+
+
+def test_helium_mixtures() -> None:
+    """Numbers of the files that the tables name, and the velocities that chambers with these gases have."""
+    per_root = 1e-3 / math.sqrt(10)
+    isobutane = transport("he-ic4h10-90-10", 0.5, 0.0)
+    np.testing.assert_allclose(isobutane, (0.01762, 0, 235 * per_root, 235 * per_root, 176 * per_root))
+    # The row at 3.44192969 V/(cm Torr): 3.96074158 cm/us, widths of 0.605044820 and 0.347989918 sqrt(cm Torr).
+    ethane = transport("he-c2h6-50-50", 2.616, 0.0)
+    widths = np.array([0.605044820, 0.605044820, 0.347989918]) / math.sqrt(760) * math.sqrt(10)  # mm/sqrt(mm)
+    np.testing.assert_allclose(3.44192969 * 0.760, 2.616, atol=5e-4)
+    assert ethane.velocity == pytest.approx(0.0396074158, rel=2e-4)
+    assert ethane[2:] == pytest.approx(widths, rel=5e-3)
+    for name, gas, e in (("idea-like", "he-ic4h10-90-10", 1.5), ("belle2-like", "he-c2h6-50-50", 3.0)):
+        (velocity,) = {layer.drift_velocity for layer in load(name).drift_chamber.layers}
+        assert velocity == pytest.approx(transport(gas, e, 0.0).velocity, rel=0.01)
+    text = (Path(__file__).parents[3] / "docs" / "methods" / "detector.md").read_text(encoding="utf-8")
+    for gas in ("he-ic4h10-90-10", "he-c2h6-50-50"):
+        shown = " | ".join(f"{1e3 * transport(gas, e, 0.0).velocity:.1f}" for e in (0.1, 0.3, 0.5, 1, 1.5, 2, 3, 5))
+        assert f"velocity [µm/ns] | {shown} |" in text
 
 
 def test_all_problems_of_all_layers_at_once() -> None:
