@@ -15,7 +15,7 @@ import cgemit as cg
 from cgemit.detector import slabs
 from pages.geant4 import read
 from pages.page import Found, Page, table
-from pages.performance import designs, electrons, fits, operations, peers, scaling, simulation, stages
+from pages.performance import designs, electrons, fits, peers, scaling, simulation, stages
 from pages.performance.fits import FieldCost
 from pages.performance.scaling import TIMES, Growth, exponent
 from pages.performance.stages import CHAIN, Chain, Cost
@@ -27,10 +27,6 @@ STAGES = {
     "simulate_kernel_us": "*kernel*: simulation", "fit_kernel_us": "*kernel*: fit, sides known, two iterations",
     "fit_lr_kernel_us": "*kernel*: fit, sides unknown",
 }  # fmt: skip
-KERNELS = {
-    "simulate_kernel": "simulation", "fit_kernel": "fit, sides known", "fit_lr_kernel": "fit, sides unknown"
-}  # fmt: skip
-SAME_OPERATIONS = {"v4": "v3"}  # what valgrind cannot count
 #: Instruction sets in the tables of the page; the numbers on file have all.
 SHOWN = ("scalar", "v4")
 COLOURS = ("#999999", "#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -68,25 +64,6 @@ def _scaling(found: Found) -> str:
 def _memory(rows: Sequence[stages.Memory]) -> str:
     lines = [[row.case, f"{row.tables_bytes:,.0f}", f"{row.peak_bytes:,.0f}"] for row in rows]
     return table(["tables", "size, bytes per muon", "peak of the process, bytes per muon"], lines)
-
-
-def _operations(rows: Sequence[operations.Counts], costs: Sequence[Cost]) -> str:
-    """Return the table of operations, times and the share of what a core can do."""
-    counts, lines = {(row.kernel, row.isa): row for row in rows}, []
-    for kernel, text in KERNELS.items():
-        for cost in (row for row in costs if row.threads == 1):
-            own = counts.get((kernel, cost.isa))
-            count = own or counts.get((kernel, SAME_OPERATIONS.get(cost.isa, "")))
-            if count is None:
-                continue
-            us = getattr(cost, f"{kernel}_us")
-            rate = count.operations / us / 1e3
-            lines.append([text, cost.isa, f"{own.instructions:,}" if own else "—", f"{count.operations:,}",
-                          f"{count.divide + count.root:,}", f"{us:.2f}", f"{rate:.2f}",
-                          f"{rate / cost.limit_gflops:.1%}"])  # fmt: skip
-    head = ["kernel", "instruction set", "instructions", "operations", "of these divisions and roots", "µs",
-            "operations per ns", "share of the limit"]  # fmt: skip
-    return table(head, lines)
 
 
 def _peers(rows: Sequence[peers.Peer]) -> str:
@@ -191,8 +168,6 @@ def blocks(found: Found) -> dict[str, str]:
         "sweeps": f"{', '.join(sweeps[:-1])} and {sweeps[-1]}",
         "scaling": _scaling(found),
         "memory": _memory(rows["memory"]),
-        "limit": f"{rows['stages'][0].limit_gflops:.1f}",
-        "operations": _operations(every["operations"], rows["stages"]),
         "scatterers": str(len(slabs(cg.load(DETECTOR)))),
         "peers": _peers([row for row in rows["peers"] if row.case.startswith("1 GeV")]),
         "peers-slow": _slow_fits(rows["peers"]),
@@ -295,7 +270,6 @@ PAGE = Page(
         "readouts": (simulation.ReadoutCost, simulation.measure_readouts),
         "variants": (designs.VariantCost, designs.measure_variants),
         "sweeps": (designs.SweepCost, designs.measure_sweeps),
-        "operations": (operations.Counts, operations.measure),
         "peers": (peers.Peer, peers.measure),
         "peers_fields": (peers.Peer, peers.measure_fields),
         "peers_finding": (peers.Found, peers.measure_finding),

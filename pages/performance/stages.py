@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import subprocess
 import sys
@@ -52,7 +51,7 @@ TWO_ITERATIONS = FitSettings(residuals=True, max_iterations=2, tolerance=1e-12)
 
 @dataclass(frozen=True)
 class Cost:
-    """Wall time per track of each of `STAGES`, us, and the rate of a large product of matrices, operations per ns.
+    """Wall time per track of each of `STAGES`, us.
 
     `fit` includes the smoother, with the sides of the wires known (`fit_lr`: unknown); the hits provide the starting
     helix. The kernels are the compiled core alone, the fit started from the smeared true helix: two iterations with the
@@ -70,7 +69,6 @@ class Cost:
     simulate_kernel_us: float
     fit_kernel_us: float
     fit_lr_kernel_us: float
-    limit_gflops: float
 
 
 @dataclass(frozen=True)
@@ -97,29 +95,6 @@ class Memory:
     peak_bytes: float
 
 
-PRODUCT = """
-import time
-import numpy as np
-n = 768
-a = np.random.default_rng(1).normal(size=(n, n))
-best = float("inf")
-for _ in range(30):
-    start = time.perf_counter()
-    a @ a
-    best = min(best, time.perf_counter() - start)
-print(2e-9 * n**3 / best)
-"""
-
-
-def limit_gflops() -> float:
-    """Return the floating-point operations per ns of a product of matrices on one core."""
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", PRODUCT], check=True, capture_output=True, text=True, env=environment
-    )  # fmt: skip
-    return float(done.stdout)
-
-
 def stage_times(threads: int, events: int = EVENTS, runs: int = RUNS) -> dict[str, float]:
     """Return the us per track of each stage; each thread runs it on events of its own."""
     detector = load(DETECTOR)
@@ -138,10 +113,10 @@ def stage_times(threads: int, events: int = EVENTS, runs: int = RUNS) -> dict[st
 
 def measure_stages(_share: float) -> Numbers:
     """Measure the stages for every instruction set and number of threads."""
-    limit, rows = limit_gflops(), []
+    rows = []
     for isa in available():
         with instruction_set(isa):
-            rows += [Cost(isa, threads, **stage_times(threads), limit_gflops=limit) for threads in THREADS]
+            rows += [Cost(isa, threads, **stage_times(threads)) for threads in THREADS]
     return Numbers(rows, {"machine": machine()})
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,69 +13,8 @@ from cgemit.detector import field_at, load
 from cgemit.detector.readouts import Apv25Readout, TigerReadout
 from cgemit.simulation.digitize import digitizer_of
 from pages.page import MissingToolError, Numbers, Page
-from pages.performance import PAGE, blocks, electrons, operations, peers, scaling, simulation, stages
+from pages.performance import PAGE, blocks, electrons, peers, scaling, simulation, stages
 from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
-
-# As callgrind writes it: names are spelled out once, also where a function of another library is called; places count
-# on from the line before; the line after `calls=` is what the called function cost.
-PROFILE = """\
-positions: instr line
-events: Ir
-
-ob=(1) /lib/python
-fn=(1) main
-0x100 0 5
-cob=(2) /site-packages/cgemit/_core.so
-cfn=(2) fit
-calls=3 0x2000 0
-0x104 0 999
-
-ob=(2)
-fn=(2)
-0x2000 0 3
-+4 0 6
-* 0 1
--4 0 10
-cob=(3) /lib/libm.so.6
-calls=1 0x30 0
-+8 0 77
-+1 0 2
-ob=(3)
-0x30 0 4
-"""
-ASSEMBLY = """\
-    2000:	addsd  %xmm1,%xmm0
-    2004:	vfmadd231pd %ymm1,%ymm2,%ymm3
-    2009:	call   30 <log>
-    200d:	vdivsd %xmm1,%xmm0,%xmm0
-    2011:	vsqrtpd (%rax),%zmm0
-    2015:	addss  %xmm1,%xmm0
-    2019:	paddd  %xmm1,%xmm0
-    201d:	subpd  %xmm1,%xmm0
-"""
-
-
-def test_profile_counts_instructions_of_the_core() -> None:
-    core, libm = "/site-packages/cgemit/_core.so", "/lib/libm.so.6"
-    counts = operations.parsed(PROFILE.splitlines())
-    assert counts == Counter({(core, 0x2000): 13, (core, 0x2004): 7, (core, 0x2009): 2, (libm, 0x30): 4})
-
-
-def test_operations_count_lanes_and_fused_ones_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(operations, "disassembly", lambda library: ASSEMBLY)
-    expected = {
-        0x2000: ("add", 1),
-        0x2004: ("fused", 4),
-        0x200D: ("divide", 1),
-        0x2011: ("root", 8),
-        0x201D: ("add", 2),
-    }
-    assert operations.kinds("core") == expected
-    calls = 2 * operations.TRACKS
-    counts = Counter({("core", at): calls for at in (0x2000, 0x2004, 0x2009, 0x2011, 0x201D)})
-    assert operations.per_track(counts) == {
-        "instructions": 5, "add": 3, "multiply": 0, "fused": 4, "divide": 0, "root": 8, "operations": 3 + 2 * 4 + 8
-    }  # fmt: skip
 
 
 def test_stages_do_the_work_that_is_timed() -> None:
