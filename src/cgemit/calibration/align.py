@@ -42,17 +42,20 @@ class Iteration(Tabular):
     ----------
     tracks, hits, pairs : int
         That were used.
+    left_out : int
+        Pairs that were not, since they are too far apart.
     chi2 : float
         Of the tracks and pairs, before the step.
     step : float
         Largest change of a constant, in units of its error.
     outlier_pull : float
-        Cut on the pulls of hits.
+        Cut on the pulls of hits and pairs.
     """
 
     tracks: int
     hits: int
     pairs: int
+    left_out: int
     chi2: float
     step: float
     outlier_pull: float
@@ -129,6 +132,9 @@ class Alignment(Determined):
             lines.append(f"the data do not determine: {', '.join(self.zero_modes)}")
         if self.at_limits:
             lines.append(f"at the end of their range: {', '.join(self.at_limits)}")
+        if last := self.history[-1].left_out:
+            every = last + self.history[-1].pairs
+            lines.append(f"{last} of {every} joined events or tracks left out: too far apart")
         if not self.converged:
             lines.append("not converged")
         return "; ".join(lines)
@@ -231,7 +237,7 @@ def align(
             if number == 0:
                 improvement = float(found.value @ found.information @ found.value)
                 first = float(np.count_nonzero(found.determined))
-            history.append(Iteration(sums.tracks, sums.hits, sums.pairs, sums.chi2, float(moved), pull))
+            history.append(Iteration(sums.tracks, sums.hits, sums.pairs, sums.left_out, sums.chi2, float(moved), pull))
             values = {one.name: float(value) for one, value in zip(free, total, strict=True) if value != 0}
             now = before.with_alignment(values)
             if progress is not None:

@@ -56,7 +56,8 @@ class AlignmentSettings(SettingsData):
     scattering : bool
         Whether matter scatters in the normal equations. Without, errors are too small (docs/methods/alignment.md).
     outlier_pull : tuple of float
-        Cut on the pulls of hits in each iteration; the last one counts for all later ones. 0: no cut.
+        Cut on the pulls of hits and of joined tracks in each iteration; the last one counts for all later ones. 0: no
+        cut; joined tracks then count unless they are ten times farther apart than half of them are.
     iterations : int
         Most iterations.
     tolerance : float

@@ -30,6 +30,7 @@ from cgemit.tables.schema import HIT_WIRE, FitStatus
 #: 200 mm of d_rho would tell a common shift to 2 mm.
 WIDER = 20.0
 _BLOCK = 2048  # tracks of one task
+_WILD = 10.0  # times the median, from which on tracks are not joined before any alignment
 _KNOWN = 3.0  # errors of a drift distance, from which on the side of a hit is known
 
 
@@ -72,6 +73,8 @@ class Sums:
         Information of each constant alone if the tracks were known.
     tracks, hits, pairs : int
         Numbers of tracks and hits, and of pairs of tracks that were constrained to agree.
+    left_out : int
+        Number of pairs that were not, since they are too far apart.
     chi2 : float
         Of all tracks and pairs.
     rows : tuple of Rows
@@ -84,6 +87,7 @@ class Sums:
     tracks: int = 0
     hits: int = 0
     pairs: int = 0
+    left_out: int = 0
     chi2: float = 0.0
     rows: tuple[Rows, ...] = ()
 
@@ -97,7 +101,7 @@ class Sums:
 
     def scaled(self, factor: float) -> Sums:
         """Return the sums of `factor` times as many tracks of the same kind."""
-        numbers = {name: round(factor * getattr(self, name)) for name in ("tracks", "hits", "pairs")}
+        numbers = {name: round(factor * getattr(self, name)) for name in ("tracks", "hits", "pairs", "left_out")}
         others = {name: factor * getattr(self, name) for name in ("normal", "right", "measured", "chi2")}
         return Sums(**others, **numbers)
 
@@ -341,14 +345,14 @@ def track_sums(
         )  # fmt: skip
         used = found["used"] == 1
         sums = Sums(
-            found["normal"], found["right"], found["measured"], int(used.sum()), int(found["hits"][used].sum()), 0,
-            float(found["chi2"][used].sum()), _rows_of(found, event[tracks]) if rows else (),
+            found["normal"], found["right"], found["measured"], int(used.sum()), int(found["hits"][used].sum()),
+            chi2=float(found["chi2"][used].sum()), rows=_rows_of(found, event[tracks]) if rows else (),
         )  # fmt: skip
         joined = quantities(found, event[tracks], given["mass"][tracks], given["charge"][tracks], settings)
         if reference is not None:
             joined = chain(joined, known_tracks(found, event[tracks], *(one[tracks] for one in reference)))
         for one in joined:
-            sums = sums + constrained(one, rows=rows)
+            sums = sums + constrained(one, fit.outlier_pull, rows=rows)
         return sums
 
     blocks = np.split(good, _borders(good, event)) if len(good) else []
@@ -409,23 +413,30 @@ def _rows_of(of_core: Mapping[str, Any], event: npt.NDArray[np.int64]) -> tuple[
     )  # fmt: skip
 
 
-def constrained(given: Quantities, *, rows: bool = False) -> Sums:
+def constrained(given: Quantities, pull: float, *, rows: bool = False) -> Sums:
     """Return the sums over quantities that are 0 but for errors and constants.
 
     Parameters
     ----------
     given : Quantities
+    pull : float
+        Cut on the independent combinations of each; 0: as many times their median as `_WILD`, which displaced parts
+        raise for all alike.
     rows : bool
     """
     values, slope = given.whitened()
+    largest = np.abs(values).max(axis=1, initial=0.0)
+    near = largest <= (pull or _WILD * max(1.0, float(np.median(largest)) if len(largest) else 1.0))
+    values, slope, left_out = values[near], slope[near], int(np.sum(~near))
     n, constants, k = slope.shape
     flat = slope.transpose(0, 2, 1).reshape(n * k, constants)
     kept: tuple[Rows, ...] = ()
     if rows:
         row, column = np.nonzero(flat)
         ends = np.cumsum(np.bincount(row, minlength=n * k))
-        event, one = np.repeat(given.event, k), np.ones(n * k)
+        event, one = np.repeat(given.event[near], k), np.ones(n * k)
         kept = (Rows(event, values.ravel(), one, ends, column.astype(np.int32), flat[row, column]),)
     return Sums(
-        flat.T @ flat, flat.T @ values.ravel(), np.zeros(constants), pairs=n, chi2=float(np.sum(values**2)), rows=kept
-    )
+        flat.T @ flat, flat.T @ values.ravel(), np.zeros(constants), pairs=n, left_out=left_out,
+        chi2=float(np.sum(values**2)), rows=kept,
+    )  # fmt: skip

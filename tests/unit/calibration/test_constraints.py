@@ -87,7 +87,7 @@ def test_a_common_vertex_is_that_of_dense_matrices(pair: tuple[Any, ...]) -> Non
     event, mass, charge = np.zeros(2, np.int64), np.full(2, MUON), np.ones(2)
     (one,) = quantities(found, event, mass, charge, settings)
     assert one.apart.shape == (1, 4)
-    added = constrained(loosened(one))
+    added = constrained(loosened(one), np.inf)
     phi, tanl = found["helix"][:, 1], found["helix"][:, 4]
     jacobian, spread = np.zeros((4, 10)), np.zeros((4, 3))
     values = np.zeros(4)
@@ -141,7 +141,7 @@ def test_known_tracks_are_that_of_dense_matrices(pair: tuple[Any, ...]) -> None:
     known = np.stack([one[0] for one in models])  # the references themselves
     cov[1], known[1] = np.nan, np.nan  # not known
     (one,) = known_tracks(found, np.zeros(2, np.int64), known, cov)
-    added = constrained(loosened(one))
+    added = constrained(loosened(one), np.inf)
     normal, _ = together(dense[:1], np.eye(5), np.zeros(5), np.eye(5), cov[0])
     scale = 1 / np.sqrt(sums[0]["measured"])
     mine = sums[0]["normal"] + added.normal
@@ -195,6 +195,26 @@ def test_a_vertex_adds_information() -> None:
     assert gain.min() > -1e-6 * gain.max()
     ndf = joined.chi2 - alone.chi2
     assert abs(ndf - joined.pairs) < 4 * np.sqrt(2 * joined.pairs)  # one for each pair: two lines meet
+
+
+def test_tracks_that_do_not_belong_together_are_left_out() -> None:
+    """Every sixth event has a second muon from 20 mm beside the beam line; the others tell where the detector is."""
+    real = NOMINAL.with_alignment(
+        {f"{part}.shift_x": 0.3 for part in ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")}
+    )
+    muons = resonance(90)
+    muons["x"] = np.where((muons["event"] % 6 == 0) & (muons["pdg"] < 0), 20.0, 0.0)
+    simulated = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian"))
+    run = cg.run(real, muons, seed=9, fit_detector=NOMINAL, settings=simulated)
+    settings = cg.AlignmentSettings(free=EVERYTHING, fixed=TILTS, pairs=("vertex", "beam_line"))
+    found = cg.align(run, settings)
+    assert found.converged
+    assert found.history[0].left_out >= 10  # without a cut: those that are ten times the median apart
+    assert 14 <= found.history[-1].left_out <= 17
+    assert all(one.left_out + one.pairs <= 90 for one in found.history)
+    assert f"{found.history[-1].left_out} of" in found.note()
+    across = [i for i, name in enumerate(found.solution.names) if name.endswith("shift_x")]
+    assert np.nanmax(np.abs(found.compare(real)[across])) < 4
 
 
 def test_a_mass_tells_the_scale_of_the_field() -> None:

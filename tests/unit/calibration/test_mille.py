@@ -115,7 +115,7 @@ def steered(path: Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64
 
 @pytest.mark.parametrize("case", ["surveys", "zero_modes"])
 def test_pede_finds_the_same(case: str) -> None:
-    """Constants and errors that pede printed for records and a steering file of `write_mille` (pages/reference/pede)."""
+    """pages/reference/pede: what pede printed for records and steering files of `write_mille`."""
     folder = Path(__file__).parents[3] / "pages" / "reference" / "pede"
     survey, constraints = steered(folder / f"{case}.txt")
     total, right = normal(read_mille(folder / f"{case}.bin"), len(survey))

@@ -118,7 +118,7 @@ def test_constraints_are_least_squares() -> None:
     random = np.random.default_rng(1)
     slope, roots = random.normal(size=(7, 4, 5)), random.normal(size=(7, 5, 5))
     cov, apart = roots @ roots.transpose(0, 2, 1) + np.eye(5), random.normal(size=(7, 5))
-    found = constrained(Quantities(apart, cov, slope, np.arange(7)))
+    found = constrained(Quantities(apart, cov, slope, np.arange(7)), np.inf)
     normal = sum(d @ np.linalg.inv(v) @ d.T for d, v in zip(slope, cov, strict=True))
     right = sum(d @ np.linalg.inv(v) @ q for d, v, q in zip(slope, cov, apart, strict=True))
     np.testing.assert_allclose(found.normal, normal, rtol=1e-10)
