@@ -117,16 +117,8 @@ def masses(found: Found) -> Figure:
     return figure
 
 
-def designs(found: Found) -> Figure:
-    """Draw sigma(d_rho) over pitch and radius of the second layer."""
-    pitches, radii = [f"{p} um" for p in range(400, 1001, 100)], [f"{r} mm" for r in range(110, 156, 5)]
-    space = {"cgem.*.pitch_x": pitches, "cgem.L2.anode_radius": radii}
-    figure: Figure = cg.study.sweep("besiii-cgem-design", space, evaluate={"p": 0.3}).draw("sigma_dr (um)")
-    return figure
-
-
 CONVENTIONS = Page("conventions", "docs/conventions.md", "5 s", pictures={"helix.png": helices, "strips.png": strips})
 GALLERY = Page(
     "gallery", "docs/gallery.md", "1 min",
-    pictures={"momentum.png": residual, "kshort-mass.png": masses, "design-map.png": designs},
+    pictures={"momentum.png": residual, "kshort-mass.png": masses},
 )  # fmt: skip

@@ -31,4 +31,4 @@ def test_both_extras_hold_what_notebooks_need() -> None:
         for extra in ("notebook", "docs")
     )
     assert notebook - {"jupyterlab"} == docs - {"sphinx", "myst-nb", "furo", "sphinx-mathjax-offline"}
-    assert {"ipywidgets", "optuna", "pandas"} <= docs
+    assert {"ipywidgets", "pandas"} <= docs

@@ -409,9 +409,9 @@ class Covariance:
     the strips under the track, ranges of p and cos(theta)) is sampled, so that the residuals of a point are a mixture
     of Gaussians: ``sigma`` is the core of the mixture, as `resolution` measures it (Gaussian within 3 of its sigmas),
     ``rms`` the root of the mean variance. Each quantity has both as arrays in its quoted unit: ``sigma_p``, ``rms_p``,
-    ``sigma_pt``, ``rms_pt`` (MeV/c), ``sigma_p_rel``, ``rms_p_rel``, ``sigma_pt_rel``, ``rms_pt_rel`` (%), ``sigma_dr``,
-    ``rms_dr`` (um), ``sigma_dz``, ``rms_dz`` (mm), ``sigma_phi0``, ``rms_phi0``, ``sigma_theta``, ``rms_theta`` (mrad),
-    ``sigma_tanl``, ``rms_tanl`` (1e-3), ``sigma_kappa``, ``rms_kappa`` (1/(GeV/c)).
+    ``sigma_pt``, ``rms_pt`` (MeV/c), ``sigma_p_rel``, ``rms_p_rel``, ``sigma_pt_rel``, ``rms_pt_rel`` (%),
+    ``sigma_dr``, ``rms_dr`` (um), ``sigma_dz``, ``rms_dz`` (mm), ``sigma_phi0``, ``rms_phi0``, ``sigma_theta``,
+    ``rms_theta`` (mrad), ``sigma_tanl``, ``rms_tanl`` (1e-3), ``sigma_kappa``, ``rms_kappa`` (1/(GeV/c)).
 
     Attributes
     ----------

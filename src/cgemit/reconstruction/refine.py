@@ -46,7 +46,7 @@ class RefineSettings(SettingsData):
     ----------
     drift_times : str
         ``"raw"``: drift times also hold flight and propagation along the wire, which are subtracted. A run with
-        `digitize.wire_times = "raw"`` takes ``"raw"``.
+        ``digitize.wire_times = "raw"`` takes ``"raw"``.
     flight : str
         Flight in raw drift times. ``"outward"``: away from the beam line. ``"cosmic"``: muons from above, with y up;
         hits of upward tracks are earlier than the closest approach. A run of cosmic muons alone takes ``"cosmic"``.
