@@ -13,6 +13,7 @@ from cgemit.base.errors import DetectorError, Problem, Problems
 from cgemit.base.files import read_text
 from cgemit.detector.build import library, read_contents
 from cgemit.detector.check import geometry_problems
+from cgemit.detector.files import ROWS
 from cgemit.detector.material import x0_of_fractions
 from cgemit.detector.matter import row_shells
 from cgemit.detector.parts import Contents
@@ -60,7 +61,8 @@ def read_card(path: str | Path, *, field: bool = True) -> dict[str, Any]:
     overlap become thinner and denser: radius, X/X0 and mass stay. Disks are left out, and listed in the description.
 
     The card is read as data: variables, ``source`` of files beside the card, comments, braces and quotes as in Tcl;
-    other commands are not run. The field is the Bz of the module TrackCovariance, or B outside of modules.
+    other commands are not run. The field is the Bz of the module TrackCovariance, or B outside of modules. A text that
+    begins with a row is the geometry alone, without a field.
 
     Parameters
     ----------
@@ -199,7 +201,8 @@ def _tables(text: str, source: str, name: str, folder: Path, *, field: bool = Tr
     card.run(text, card.variables)
     problems: list[Problem] = []
     scope = _tracker(card, problems)
-    geometry = scope.get("DetectorGeometry")
+    plain = ROWS.match(text)
+    geometry = scope.get("DetectorGeometry") or (_Value(text, 1) if plain else None)
     unread = f"; not read: {', '.join(card.unread)}" if card.unread else ""
     if geometry is None:
         expected = f"a card with TrackCovariance{unread}"
@@ -210,8 +213,9 @@ def _tables(text: str, source: str, name: str, folder: Path, *, field: bool = Tr
     if bz_number is None and field:
         given = f'"{bz_text}"' if bz else "no field"
         where = "in the module TrackCovariance" if card.modules else "beside the geometry"
-        expected = f"a line such as: set B{'z' if card.modules else ''} 2.0, {where}, or a detector file with the card"
-        problems.append(Problem("B", given, f"{expected} as base and a table [field]{unread}"))
+        expected = f"a line such as: set B{'z' if card.modules else ''} 2.0, {where}, or " * (not plain)
+        expected += f"a detector file with the {'file' if plain else 'card'} as base and a table [field]{unread}"
+        problems.append(Problem("B", given, expected))
     rows, disks = _rows(card, geometry, scope, problems)
     rows, moved = _apart(rows, problems)
     if problems:

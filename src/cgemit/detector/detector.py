@@ -22,7 +22,7 @@ from cgemit.detector.alignment import (
     overrides_of,
 )
 from cgemit.detector.build import read_contents
-from cgemit.detector.files import CARD, field_tables, is_file, is_preset, open_source, place_map, resolve
+from cgemit.detector.files import field_tables, is_card, is_preset, open_source, place_map, resolve
 from cgemit.detector.keys import Known, once
 from cgemit.detector.layers import CgemLayer, Layer
 from cgemit.detector.parts import Contents, Cylinder, cgem_layers
@@ -374,7 +374,7 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
     ----------
     source : str, Path, mapping or Detector
         Name of a preset (see `detectors`), path to a TOML file or to a Delphes card (``.tcl``, of which the barrel is
-        read), or tables as `tomllib` returns them; a `Detector` is returned as it is.
+        read; ``.txt`` with its rows alone is a `base`), or tables as `tomllib` returns them; a `Detector` is returned as it is.
 
     Raises
     ------
@@ -407,7 +407,7 @@ def preset(name: str) -> Detector:
 
 def _loaded(source: str | Path | Mapping[str, Any]) -> Detector:
     """Return the detector of a preset, a file or tables; see `load`."""
-    if not isinstance(source, Mapping) and Path(source).suffix == CARD and is_file(Path(source)):
+    if not isinstance(source, Mapping) and is_card(Path(source)):
         source = delphes.read_card(source)
     opened = open_source(source)
     problems = Problems()

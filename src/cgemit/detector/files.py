@@ -67,6 +67,15 @@ def library_materials() -> dict[str, Any]:
 
 #: Ending of the name of a Delphes card.
 CARD = ".tcl"
+#: How a text begins that is the rows of such a card alone.
+ROWS = re.compile(r"\s*[12][ \t]+[A-Za-z_]\w*[ \t]+[-+.\d]")
+
+
+def is_card(path: Path) -> bool:
+    """Return whether a file is a Delphes card, or a text (``.txt``) with its rows alone."""
+    return is_file(path) and (path.suffix == CARD or (path.suffix == ".txt" and bool(ROWS.match(read_text(path)))))
+
+
 _ReadCard = Callable[[Path], dict[str, Any]]
 
 
@@ -94,7 +103,7 @@ def open_source(
             did_you_mean(text[:_LONGEST], preset_names()),
         )  # fmt: skip
         raise DetectorError(text[:_LONGEST], [problem])
-    if path.suffix == CARD and read_card is not None:
+    if read_card is not None and is_card(path):
         return Source(str(path), path.parent, read_card(path))
     try:
         tables = parse_toml(read_text(path))

@@ -309,6 +309,24 @@ def test_a_card_without_geometry(tmp_path):
 MOLIERE = cg.FitSettings(screening="moliere")
 
 
+def test_rows_alone_are_a_base(tmp_path):
+    """As geometries are beside FastTrackCovariance: without a card and a field."""
+    (tmp_path / "GeoIDEA.txt").write_text(IDEA)
+    with pytest.raises(DetectorError, match="expected a detector file with the file as base and a table"):
+        cg.load(tmp_path / "GeoIDEA.txt")
+    for base in ("GeoIDEA.txt", "GeoIDEA.tcl"):
+        (tmp_path / base).write_text(IDEA if base.endswith("txt") else f"set DetectorGeometry {{{IDEA}}}")
+        (tmp_path / "file.toml").write_text(f'name = "rows"\nbase = "{base}"\n[field]\nkind = "uniform"\nbz = "2 T"\n')
+        found = cg.load(tmp_path / "file.toml")
+        assert (len(found.layers), found.field.bz) == (21, 2.0)
+        assert matter(found) == pytest.approx(matter(cg.load(card(tmp_path))), rel=1e-9)
+    (tmp_path / "words.txt").write_text(IDEA + "and some words\n")
+    with pytest.raises(DetectorError, match='line 29: got "and some words", expected 13 columns'):
+        cg.load(tmp_path / "words.txt")
+    (tmp_path / "toml.txt").write_text('base = "besiii-cgem"\n')
+    assert cg.load(tmp_path / "toml.txt").cgem == cg.load("besiii-cgem").cgem
+
+
 def rows_by_radius(text):
     """Return the barrel rows of a card as `least_squares.Fit` takes them; thick matter in twenty slices."""
     found = []
