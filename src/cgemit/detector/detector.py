@@ -374,7 +374,8 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
     ----------
     source : str, Path, mapping or Detector
         Name of a preset (see `detectors`), path to a TOML file or to a Delphes card (``.tcl``, of which the barrel is
-        read; ``.txt`` with its rows alone is a `base`), or tables as `tomllib` returns them; a `Detector` is returned as it is.
+        read; a ``.txt`` with its rows alone can be a `base`), or tables as `tomllib` returns them; a `Detector` is
+        returned as it is.
 
     Raises
     ------
