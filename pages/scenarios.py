@@ -56,7 +56,7 @@ class Hits:
     @property
     def row(self) -> Rows:
         """Row of each hit in its table."""
-        return np.asarray(self.candidate_hits["row"])
+        return np.asarray(self.candidate_hits["hit"])
 
     @property
     def on_wire(self) -> Mask:
@@ -106,7 +106,7 @@ def exchange_clusters(hits: Hits, layer: int, tracks: Mask) -> Hits:
     clusters, old, new = _with_clusters(hits.clusters, copies | {"event": hits.candidate_hits["event"][places]})
     kept = np.setdiff1d(np.flatnonzero(~hits.on_wire), places)
     row[kept], row[places] = old[row[kept]], new
-    return replace(hits, candidate_hits=hits.candidate_hits.with_columns(row=row), clusters=clusters)
+    return replace(hits, candidate_hits=hits.candidate_hits.with_columns(hit=row), clusters=clusters)
 
 
 def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Generator) -> Hits:
@@ -131,7 +131,7 @@ def add_noise(detector: Detector, hits: Hits, share: float, random: np.random.Ge
     row[strip] = new
     kept = np.ones(len(row), np.bool_)
     kept[wire[same_cell] - 1] = False
-    return keep(Hits(spoilt.candidates, spoilt.candidate_hits.with_columns(row=row), clusters, wire_hits), kept)
+    return keep(Hits(spoilt.candidates, spoilt.candidate_hits.with_columns(hit=row), clusters, wire_hits), kept)
 
 
 def _wire_noise(detector: Detector, wire_hits: Table, rows: Rows, random: np.random.Generator) -> Columns:

@@ -105,6 +105,23 @@ def events_of(result):
     return arrays
 
 
+def as_read_out(result, late, offset):
+    """Return what the readout alone gives: cells and strips of events that begin `late` by some ns, whole channels.
+
+    Strips count from `offset`, ns, in the times of the wires.
+    """
+    of_run = events_of(result)
+    cells, strips = of_run["mdc_digis"], of_run["cgem_digis"]
+    channel = cells["m_timeChannel"]
+    moved = ak.where(channel == 0x7FFFFFFF, channel, channel + np.rint(late / TICK).astype("i4"))
+    time = strips["m_time_ns"] + (START + late + offset)
+    return {
+        "run": of_run["run"], "number": of_run["number"],
+        "mdc_digis": ak.with_field(cells, ak.values_astype(moved, "u4"), "m_timeChannel"),
+        "cgem_digis": ak.with_field(strips, time, "m_time_ns"),
+    }  # fmt: skip
+
+
 def as_pybes3_fills(cov):
     """Write the upper triangle row by row, and read it as the lower one."""
     upper, lower = np.triu_indices(5), np.tril_indices(5)
@@ -127,7 +144,7 @@ def _hits(result, n):
     drift = 0.1 * np.abs(hits["drift"])  # smeared beyond the wire, a distance is one on its other side
     on_track = np.full(len(hits), -1)
     of = result.candidate_hits
-    on_track[of["row"][of["view"] == 2]] = 0
+    on_track[of["hit"][of["view"] == 2]] = 0
     return records("hits", hits["event"], n, {
         "m_isGrouped": np.ones(len(hits)), "m_id": np.arange(len(hits)), "m_trkid": on_track,
         "m_ddl": drift, "m_ddr": drift,
@@ -180,7 +197,7 @@ def _clusters(result, n):
     strips[view == 0, 1], strips[view == 1, 0] = -9999, -9999
     of_track = np.full(len(event), -1)
     of = result.candidate_hits
-    of_track[of["row"][of["view"] != 2]] = 0
+    of_track[of["hit"][of["view"] != 2]] = 0
     return records("clusters", event, n, {
         "m_clusterid": number, "m_trkid": of_track, "m_layerid": clusters["layer"], "m_sheetid": clusters["sheet"],
         "m_flag": view, "m_energydeposit": unset, "m_recphi": np.where(view == 1, unset, clusters["phi"] % (2 * np.pi)),

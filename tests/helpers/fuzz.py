@@ -93,7 +93,7 @@ def garbage(n, random):
     view = np.full(len(track), HIT_WIRE, np.int8)
     view[~wires] = clusters["view"]
     candidates = {"event": np.arange(n), "candidate": np.zeros(n, int), "pdg": np.abs(particles["pdg"])}
-    columns = {"event": track, "candidate": track, "view": view, "row": row}
+    columns = {"event": track, "candidate": track, "view": view, "hit": row}
     tables = (
         Table("candidates", candidates | {"mass": particles["mass"], "charge": np.abs(particles["charge"])}, n),
         Table("candidate_hits", columns, n),

@@ -57,7 +57,7 @@ def sample(
     names = ("particles", "clusters", "wire_hits", "truths", "wire_truths")
     found = finder.by_truth(detector, *(tables[name] for name in names))
     hits = found["candidate_hits"]
-    layer = tables["wire_hits"]["layer"][np.where(hits["view"] == HIT_WIRE, hits["row"], 0)]
+    layer = tables["wire_hits"]["layer"][np.where(hits["view"] == HIT_WIRE, hits["hit"], 0)]
     hits = hits[(hits["view"] != HIT_WIRE) | (layer <= LAST_LAYER)]
     settings = FitSettings(states=("beam_pipe", *MIDDLES, "hits", *(LAYERS[number] for number in OUTSIDE)))
     given = (found["candidates"], hits, tables["clusters"], tables["wire_hits"])

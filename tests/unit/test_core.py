@@ -139,8 +139,8 @@ UNREAD = {
 #: Columns that may be missing.
 OPTIONAL = {
     "find_clusters 1, find_charge_time_clusters 1": "position",
-    "find_tracks hits": "row",
-    "fit hits, hit_problems 1": "k row side x",
+    "find_tracks hits": "hit",
+    "fit hits, hit_problems 1": "hit k side x",
     "states hits, sums hits": "k x",
 }
 

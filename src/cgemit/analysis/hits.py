@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.widths import share_error
+from cgemit.analysis.widths import Fraction
 from cgemit.base.arrays import Flags, Floats
 from cgemit.chain.result import Result
-from cgemit.chain.settings import fit_settings
+from cgemit.chain.settings import Settings, fit_settings
 from cgemit.detector import Detector
 from cgemit.detector.core import layer_table
-from cgemit.detector.layers.layer import local_v, seen_by
 from cgemit.detector.parts import cgem_numbers
 from cgemit.helix import wrap_angle
-from cgemit.reconstruction.fit import fit
-from cgemit.reconstruction.states import extrapolate
+from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.reconstruction.states import crossings_of
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, is_fitted
 from cgemit.tables.show import Shown, Tabular, with_error
@@ -140,20 +139,14 @@ class HitResiduals(Shown, Tabular):
         if by not in vars(self) or by == "view":
             known = ", ".join(name for name in vars(self) if name != "view")
             raise ValueError(f"binned: by: got {by!r}, expected one of {known}")
-        values = vars(self)[by].astype(np.float64)
-        given = None if edges is None else np.asarray(edges, np.float64)
-        if given is not None and (given.ndim != 1 or len(given) < 2 or not (np.diff(given) > 0).all()):
-            raise ValueError(f"binned: edges: got {edges!r:.60}, expected two or more numbers that grow")
-        whole = vars(self)[by].dtype.kind in "iu"
+        values, given, whole = vars(self)[by].astype(np.float64), _given(edges), vars(self)[by].dtype.kind in "iu"
         rows: dict[str, list[float]] = {name: [] for name in _RESIDUALS}
         for view in np.unique(self.view).tolist():
             mine = (self.view == view) & np.isfinite(values)
             own = given if given is not None else _edges(values[mine & self.counts], whole)
-            for low, high in pairwise(own.tolist()):
-                last = high == own[-1]
-                inside = mine & (values >= low) & ((values <= high) if last and not whole else (values < high))
-                if inside.any():
-                    _append(rows, float(view), low, high, self.select(inside))
+            for low, high, inside in _bins(values, own, whole):
+                if (mine & inside).any():
+                    _append(rows, float(view), low, high, self.select(mine & inside))
         return ResidualTable(by, **{name: np.array(column, np.float64) for name, column in rows.items()})
 
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
@@ -210,13 +203,32 @@ class ResidualTable(Shown, Tabular):
         rows = [
             [
                 VIEWS[int(self.view[i])],
-                f"{self.low[i]:g}" if self.high[i] == self.low[i] + 1 else f"{self.low[i]:.3g} to {self.high[i]:.3g}",
+                _bin_text(self.low[i], self.high[i]),
                 f"{self.n[i]:.0f}", f"{self.far[i]:.0f}", with_error(1e3 * self.mean[i], 1e3 * self.err_mean[i]),
                 with_error(1e3 * self.rms[i], 1e3 * self.err_rms[i]), with_error(self.pull[i], self.err_pull[i]),
             ]
             for i in range(len(self.n))
         ]  # fmt: skip
         return "residuals from tracks fitted without the hit", head, rows
+
+
+def _given(edges: npt.ArrayLike | None) -> Floats | None:
+    """Return edges of bins as they were given."""
+    given = None if edges is None else np.asarray(edges, np.float64)
+    if given is not None and (given.ndim != 1 or len(given) < 2 or not (np.diff(given) > 0).all()):
+        raise ValueError(f"binned: edges: got {edges!r:.60}, expected two or more numbers that grow")
+    return given
+
+
+def _bins(values: Floats, edges: Floats, whole: bool) -> Iterator[tuple[float, float, Flags]]:
+    """Yield the edges of each bin and which values lie in it; the last one has its upper edge unless `whole`."""
+    for low, high in pairwise(edges.tolist()):
+        below = values <= high if high == edges[-1] and not whole else values < high
+        yield low, high, (values >= low) & below
+
+
+def _bin_text(low: float, high: float) -> str:
+    return f"{low:g}" if high == low + 1 else f"{low:.3g} to {high:.3g}"
 
 
 def _edges(values: Floats, whole: bool) -> Floats:
@@ -279,12 +291,7 @@ def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
     result : Result
     clusters, wires : Table
     """
-    settings = fit_settings(result.settings)
-    masses = settings.hypotheses()
-    how = replace(
-        settings, residuals=True, states=("hits",), components=False, beam=None,
-        hypothesis=settings.hypothesis if len(masses) == 1 else "pi",
-    )  # fmt: skip
+    how = replace(_plain(result.settings), residuals=True, states=("hits",))
     made = fit.unchecked(result.detector, clusters, wires, result.candidates, result.candidate_hits, how)
     of, states = made["residuals"], made["states"]
     good = is_fitted(made["tracks"])[of["track"]] & (of["err"] > 0)
@@ -301,8 +308,7 @@ def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
         return found
 
     x, y, z, px, py, pz = (states[name][at] for name in ("x", "y", "z", "px", "py", "pz"))
-    p = np.sqrt(px**2 + py**2 + pz**2)
-    outward = np.abs(x * px + y * py) / (np.hypot(x, y) * p)
+    p, incidence = _direction(x, y, px, py, pz)
     layer = np.where(is_wire, joined("layer", "layer", 0), joined("layer", None, 0)).astype(np.int64)
     own = np.where(view == 0, joined("err_x", "sigma", np.nan), joined("err_v", "sigma", np.nan))
     return HitResiduals(
@@ -311,7 +317,7 @@ def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
         residual=of["residual"], err=of["err"], own=own, used=of["used"] == 1,
         size=joined("size", None, 1).astype(np.int64), charge=joined("charge", None, np.nan),
         time=joined("time", "drift_time", np.nan), phi=np.arctan2(y, x), z=z,
-        incidence=np.arccos(np.clip(outward, 0, 1)), p=p,
+        incidence=incidence, p=p,
     )  # fmt: skip
 
 
@@ -322,63 +328,191 @@ def _state_rows(of: Table, states: Table) -> npt.NDArray[np.int64]:
     return np.array([rows[key] for key in zip(*(of[name].tolist() for name in names), strict=True)], np.int64)
 
 
+_SHARES = ("x", "v", "both")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LayerEfficiencies(Shown, Tabular):
-    """Shares of tracks that layers have seen, one row for each region of each layer.
+    """Shares of tracks that layers have seen, one row for each layer and region.
 
     Attributes
     ----------
     label : list of str
         Of the layer.
     region : list of str
-        ``"all"``, a sheet, or ``"-z"`` and ``"+z"``.
+        ``"all"``, a sheet, ``"-z"`` and ``"+z"``, or the bin of a column.
+    low, high : ndarray, (n,) float64
+        Edges of the bin; NaN for regions that are none.
     tracks : ndarray, (n,) int64
         Tracks that cross the region away from its borders.
     x, v, both : ndarray, (n,) float64
         Shares with an X cluster, a V cluster and both near the track; NaN without tracks.
-    err_x, err_v, err_both : ndarray, (n,) float64
-        Half of the 68 % interval of Wilson.
+    x_low, x_high, v_low, v_high, both_low, both_high : ndarray, (n,) float64
+        Limits of the 68 % intervals of Wilson, which stay within 0 and 1; NaN without tracks.
 
     Examples
     --------
     >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
     >>> found = cg.study.layer_efficiencies(r)
-    >>> sorted(set(found.label)), found.region[0]
-    (['L1', 'L2', 'L3'], 'all')
+    >>> sorted(set(found.label)), found.region[0], bool(found.both_high.max() <= 1)
+    (['L1', 'L2', 'L3'], 'all', True)
     """
 
     label: list[str]
     region: list[str]
+    low: Floats
+    high: Floats
     tracks: npt.NDArray[np.int64]
     x: Floats
-    err_x: Floats
+    x_low: Floats
+    x_high: Floats
     v: Floats
-    err_v: Floats
+    v_low: Floats
+    v_high: Floats
     both: Floats
-    err_both: Floats
+    both_low: Floats
+    both_high: Floats
 
     def columns(self) -> dict[str, Sequence[Any]]:
         """Return the rows as columns."""
         return {name: list(column) for name, column in vars(self).items()}
 
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
-        shares = ("x", "v", "both")
         rows = [
-            [
-                self.label[i], self.region[i], f"{self.tracks[i]}",
-                *(with_error(100 * getattr(self, name)[i], 100 * getattr(self, f"err_{name}")[i]) for name in shares),
-            ]
+            [self.label[i], self.region[i], f"{self.tracks[i]}", *(self._share(name, i) for name in _SHARES)]
             for i in range(len(self.label))
-        ]  # fmt: skip
+        ]
         return "efficiency of layers", ("layer", "region", "tracks", "X (%)", "V (%)", "X and V (%)"), rows
+
+    def _share(self, name: str, i: int) -> str:
+        """Return a share and how far its interval reaches on either side."""
+        value, low, high = (100 * getattr(self, key)[i] for key in (name, f"{name}_low", f"{name}_high"))
+        return f"{value:.1f} +{high - value:.1f} -{value - low:.1f}" if self.tracks[i] else "-"
+
+
+def _efficiencies(rows: Sequence[tuple[str, str, float, float, LayerCrossings]]) -> LayerEfficiencies:
+    """Return the shares of crossings with clusters, each with label, region and edges."""
+    label, region, low, high, crossings = zip(*rows, strict=True) if rows else ((),) * 5
+    columns: dict[str, list[float]] = {f"{name}{end}": [] for name in _SHARES for end in ("", "_low", "_high")}
+    for mine in crossings:
+        for name, seen in zip(_SHARES, (mine.has_x, mine.has_v, mine.has_x & mine.has_v), strict=True):
+            share = Fraction(int(np.count_nonzero(seen)), len(mine))
+            ends = (share.value, *share.interval())
+            for end, value in zip(("", "_low", "_high"), ends, strict=True):
+                columns[f"{name}{end}"].append(value)
+    return LayerEfficiencies(
+        list(label), list(region), np.array(low, np.float64), np.array(high, np.float64),
+        np.array([len(mine) for mine in crossings], np.int64),
+        **{name: np.array(column, np.float64) for name, column in columns.items()},
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LayerCrossings(Shown, Tabular):
+    """Tracks that cross CGEM layers away from their borders, fitted without the layer's hits, one row for each.
+
+    Attributes
+    ----------
+    labels : dict of int to str
+        Of all CGEM layers, by number.
+    event, track : ndarray, (n,) int64
+        Number of the event, and row of ``tracks``.
+    layer, sheet : ndarray, (n,) int64
+    phi, z : ndarray, (n,) float64, rad, mm
+        Where the track crosses, in the layer's axes.
+    incidence : ndarray, (n,) float64, rad
+        Angle of the track to the radius.
+    p : ndarray, (n,) float64, GeV/c
+    time : ndarray, (n,) float64, ns
+        Start of the event in the readout window; NaN without start times.
+    has_x, has_v : ndarray, (n,) bool
+        Whether an X and a V cluster are near.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
+    >>> found = cg.study.layer_crossings(r)
+    >>> bool(found.has_x.mean() > 0.9), found.binned("z", [-400, 0, 400]).tracks.sum() == len(found)
+    (True, True)
+    """
+
+    labels: dict[int, str]
+    event: npt.NDArray[np.int64]
+    track: npt.NDArray[np.int64]
+    layer: npt.NDArray[np.int64]
+    sheet: npt.NDArray[np.int64]
+    phi: Floats
+    z: Floats
+    incidence: Floats
+    p: Floats
+    time: Floats
+    has_x: Flags
+    has_v: Flags
+
+    def __len__(self) -> int:
+        return len(self.event)
+
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return the rows as columns."""
+        return {name: one.tolist() for name, one in vars(self).items() if name != "labels"}
+
+    def select(self, rows: npt.NDArray[Any]) -> LayerCrossings:
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        rows : ndarray
+            A mask, or numbers of rows.
+        """
+        return LayerCrossings(self.labels, **{n: one[rows] for n, one in vars(self).items() if n != "labels"})
+
+    def binned(self, by: str, edges: npt.ArrayLike | None = None) -> LayerEfficiencies:
+        """Return efficiencies by layer and by a column.
+
+        Parameters
+        ----------
+        by : str
+            ``"event"``, ``"sheet"``, ``"phi"``, ``"z"``, ``"incidence"``, ``"p"`` or ``"time"``.
+        edges : array_like, (m,) float64, or None
+            Edges of the bins; a value beyond them does not count. None: as `HitResiduals.binned`.
+
+        Raises
+        ------
+        ValueError
+            If there is no such column, or the edges do not grow.
+        """
+        known = ("event", "sheet", "phi", "z", "incidence", "p", "time")
+        if by not in known:
+            raise ValueError(f"binned: by: got {by!r}, expected one of {', '.join(known)}")
+        values, given, whole = vars(self)[by].astype(np.float64), _given(edges), by == "sheet"
+        rows = []
+        for number, label in self.labels.items():
+            mine = (self.layer == number) & np.isfinite(values)
+            own = given if given is not None else _edges(values[mine], whole)
+            for low, high, inside in _bins(values, own, whole):
+                if (mine & inside).any():
+                    rows.append((label, _bin_text(low, high), low, high, self.select(mine & inside)))
+        return _efficiencies(rows)
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        return self.regions()._table()
+
+    def regions(self) -> LayerEfficiencies:
+        """Return the efficiencies of whole layers, their sheets, and both halves along the beam."""
+        rows = []
+        for number, label in self.labels.items():
+            own = self.select(self.layer == number)
+            sheets = np.unique(own.sheet).tolist()
+            regions = {"all": np.ones(len(own), np.bool_)}
+            if len(sheets) > 1:
+                regions |= {f"sheet {i}": own.sheet == i for i in sheets}
+            regions |= {"-z": own.z < 0, "+z": own.z >= 0}
+            rows += [(label, name, np.nan, np.nan, own.select(mine)) for name, mine in regions.items()]
+        return _efficiencies(rows)
 
 
 def layer_efficiencies(result: Result, near: float = NEAR) -> LayerEfficiencies:
-    """Count how many tracks have clusters in each CGEM layer, from tracks fitted without the layer's hits.
-
-    A track counts with its own hits of other layers, and cluster of any kind near it: whether the finder took the
-    cluster plays no role. Tracks that cross within 5 mm of a border of a sheet, or of an end of the layer, do not
-    count, and tracks whose prediction has an error above a third of `near` do not either.
+    """Count how many tracks have clusters in each CGEM layer, and in its regions; see `layer_crossings`.
 
     Parameters
     ----------
@@ -398,82 +532,104 @@ def layer_efficiencies(result: Result, near: float = NEAR) -> LayerEfficiencies:
     >>> found.label[0], found.region[0], bool(found.both[0] > 0.9)
     ('L1', 'all', True)
     """
+    return layer_crossings(result, near).regions()
+
+
+def layer_crossings(result: Result, near: float = NEAR) -> LayerCrossings:
+    """Return where tracks cross CGEM layers, fitted without the layer's hits, and whether clusters are near.
+
+    A track counts with its own hits of other layers, and clusters of any kind near it: whether the finder took the
+    cluster plays no role. Tracks that cross within 5 mm of a border of a sheet, or of an end of the layer, do not
+    count, and tracks whose prediction has an error above a third of `near` do not either.
+
+    Parameters
+    ----------
+    result : Result
+    near : float
+        mm, largest distance in X and in V.
+
+    Raises
+    ------
+    ValueError
+        If the result has no tracks, or `near` is not positive.
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=20, readout="tiger")
+    >>> found = cg.study.layer_crossings(r)
+    >>> sorted(set(found.layer.tolist())), bool(abs(found.p - 1).max() < 0.1)
+    ([0, 1, 2], True)
+    """
     if not {"tracks", "candidate_hits"} <= result.tables.keys():
         raise ValueError("layer_efficiencies: got a result without tracks and their hits, expected one of a fit")
     if not near > 0:
         raise ValueError(f"layer_efficiencies: near: got {near}, expected a positive distance in mm")
-    rows: list[tuple[str, str, Flags, Flags]] = []
-    for number in cgem_numbers(result.detector):
-        layer = result.detector.layers[number]
-        sheet, z, has_x, has_v = _seen(result, number, near)
-        regions = {"all": np.ones(len(z), np.bool_)}
-        if layer.sheets > 1:
-            regions |= {f"sheet {i}": sheet == i for i in range(layer.sheets)}
-        regions |= {"-z": z < 0, "+z": z >= 0}
-        rows += [(layer.label, name, has_x[mine], has_v[mine]) for name, mine in regions.items()]
-    columns: dict[str, list[float]] = {name: [] for name in ("x", "err_x", "v", "err_v", "both", "err_both")}
-    for _, _, has_x, has_v in rows:
-        n = len(has_x)
-        for name, seen in (("x", has_x), ("v", has_v), ("both", has_x & has_v)):
-            share = float(seen.mean()) if n else np.nan
-            columns[name].append(share)
-            columns[f"err_{name}"].append(share_error(share, n))
-    return LayerEfficiencies(
-        [row[0] for row in rows], [row[1] for row in rows], np.array([len(row[2]) for row in rows], np.int64),
-        **{name: np.array(column, np.float64) for name, column in columns.items()},
-    )  # fmt: skip
+    parts = [_crossings(result, number, near) for number in cgem_numbers(result.detector)]
+    names = [name for name in LayerCrossings.__dataclass_fields__ if name != "labels"]
+    columns = {name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0) for name in names}
+    labels = {number: result.detector.layers[number].label for number in cgem_numbers(result.detector)}
+    return LayerCrossings(labels, **columns)
 
 
-def _seen(result: Result, number: int, near: float) -> tuple[npt.NDArray[np.int64], Floats, Flags, Flags]:
-    """Return sheet, z and whether X and V are near, of the tracks that cross a layer away from its borders."""
+def _crossings(result: Result, number: int, near: float) -> dict[str, npt.NDArray[Any]]:
+    """Return the columns of `LayerCrossings` of one layer."""
     detector, layer = result.detector, result.detector.layers[number]
     clusters, wires = result.fitted_hits
     hits = result.candidate_hits
     here = (hits["view"] != HIT_WIRE) & (_layers_of(hits, clusters) == number)
-    settings = fit_settings(result.settings)
-    settings = replace(
-        settings, components=False, beam=None,
-        hypothesis=settings.hypothesis if len(settings.hypotheses()) == 1 else "pi",
-    )  # fmt: skip
-    made = fit.unchecked(detector, clusters, wires, result.candidates, hits[~here], settings)
-    tracks = made["tracks"]
-    tracks = tracks[is_fitted(tracks)]
-    states = extrapolate(detector, tracks, layer.r_mid)
-    states = states[states["status"] == 0]
-    at, along = (np.stack([states[name] for name in names], axis=1) for names in (("x", "y", "z"), ("px", "py", "pz")))
-    x, y, z = seen_by(layer, at, along).T
-    phi = np.arctan2(y, x)
-    sheet = layer.sheet_at(phi)
+    made = fit.unchecked(detector, clusters, wires, result.candidates, hits[~here], _plain(result.settings))
+    fitted = np.flatnonzero(is_fitted(made["tracks"]))
+    at = crossings_of(detector, made["tracks"][fitted], number)
     width = layer.r_readout * 2 * np.pi / layer.sheets
-    on_sheet = layer.r_readout * np.remainder(phi - np.asarray(layer.sheet_phi)[sheet], 2 * np.pi)
     low, high = layer.ends
-    err = np.sqrt(np.maximum(states["cov"][:, 0, 0], states["cov"][:, 3, 3] * np.sin(layer.stereo) ** 2))
-    fine = (on_sheet > BORDER) & (on_sheet < width - BORDER) & (z > low + BORDER) & (z < high - BORDER)
-    fine &= err < near / 3
+    fine = (at.x > BORDER) & (at.x < width - BORDER) & (at.z > low + BORDER) & (at.z < high - BORDER)
+    fine &= np.sqrt(np.maximum(at.cov[:, 0, 0], at.cov[:, 1, 1])) < near / 3
+    states = at.states[fine]
     mine = clusters[clusters["layer"] == number]
-    v = local_v(layer, on_sheet, z)
-    has_x, has_v = np.zeros(len(z), np.bool_), np.zeros(len(z), np.bool_)
-    for i in np.flatnonzero(fine).tolist():
-        own = mine[mine["event"] == states["event"][i]]
+    has = {HIT_X: np.zeros(len(states), np.bool_), HIT_V: np.zeros(len(states), np.bool_)}
+    for i, k in enumerate(np.flatnonzero(fine).tolist()):
+        own = mine[mine["event"] == at.states["event"][k]]
         xs, vs = own[own["view"] == HIT_X], own[own["view"] == HIT_V]
-        has_x[i] = (np.abs(layer.r_readout * wrap_angle(xs["phi"] - phi[i])) < near).any()
-        has_v[i] = ((np.abs(vs["v"] - v[i]) < near) & (vs["sheet"] == sheet[i])).any()
-    return sheet[fine], z[fine], has_x[fine], has_v[fine]
+        has[HIT_X][i] = (np.abs(layer.r_readout * wrap_angle(xs["phi"] - at.phi[k])) < near).any()
+        has[HIT_V][i] = ((np.abs(vs["v"] - at.v[k]) < near) & (vs["sheet"] == at.sheet[k])).any()
+    begin = np.full(len(states), np.nan)
+    if result.start_times is not None:
+        begin = result.start_times["start_time"][np.searchsorted(result.start_times["event"], states["event"])]
+    p, incidence = _direction(*(states[name] for name in ("x", "y", "px", "py", "pz")))
+    return {
+        "event": states["event"].astype(np.int64), "track": fitted[states["track"]],
+        "layer": np.full(len(states), number), "sheet": at.sheet[fine], "phi": at.phi[fine], "z": at.z[fine],
+        "incidence": incidence, "p": p, "time": begin, "has_x": has[HIT_X], "has_v": has[HIT_V],
+    }  # fmt: skip
+
+
+def _direction(x: Floats, y: Floats, px: Floats, py: Floats, pz: Floats) -> tuple[Floats, Floats]:
+    """Return momentum and angle to the radius at points."""
+    p = np.sqrt(px**2 + py**2 + pz**2)
+    outward = np.abs(x * px + y * py) / (np.hypot(x, y) * p)
+    return p, np.arccos(np.clip(outward, 0, 1))
+
+
+def _plain(settings: Settings) -> FitSettings:
+    """Return the settings of a fit with one mass, without beam spot and densities of electrons."""
+    given = fit_settings(settings)
+    one = given.hypothesis if len(given.hypotheses()) == 1 else "pi"
+    return replace(given, components=False, beam=None, hypothesis=one)
 
 
 def _layers_of(hits: Table, clusters: Table) -> npt.NDArray[np.int64]:
     """Return the layers of the clusters of candidates, -1 for wires."""
     found = np.full(len(hits), -1, np.int64)
     of_cluster = hits["view"] != HIT_WIRE
-    found[of_cluster] = clusters["layer"][hits["row"][of_cluster]]
+    found[of_cluster] = clusters["layer"][hits["hit"][of_cluster]]
     return found
 
 
 def strip_status(detector: Detector, digis: Table) -> npt.NDArray[np.int8]:
     """Return a mask of hot and dead strips of CGEM layers, from how often each fires.
 
-    A strip is hot if it fires in more events than five standard deviations above the median of its view and layer,
-    and dead if it never fires where, at the mean of its neighbours, none of a million strips would do so by chance.
+    A strip is hot if it fires in more events than five standard deviations above the median of 31 neighbours of its
+    view and sheet, and dead if it never fires where, at that rate, fewer than one of a million strips would be silent.
     Few events show neither.
 
     Parameters

@@ -648,15 +648,22 @@ def _filled(kind: str, given: Columns | None, detector: Detector, cover: dict[st
     if kind == "truths":
         columns["r"] = np.array([layer.r_mid for layer in detector.cgem])[columns["layer"]]
     if kind == "digis":
-        columns["gid"] = _strip_numbers(detector, columns)
+        columns["gid"] = strip_numbers(detector, columns)
         columns |= {"truth": np.full(n, -1)}
     for column in SCHEMAS[kind]:
         columns.setdefault(column.name, np.full(n, np.nan if column.dtype.kind == "f" else 0, column.dtype))
     return Table(kind, columns, **cover)
 
 
-def _strip_numbers(detector: Detector, of: Columns) -> Column:
-    """Return the numbers of strips in the whole CGEM."""
+def strip_numbers(detector: Detector, of: Columns) -> Column:
+    """Return the numbers of strips in the whole CGEM, (n,) int64.
+
+    Parameters
+    ----------
+    detector : Detector
+    of : dict of str to ndarray
+        ``layer``, ``sheet``, ``view``, ``strip``.
+    """
     strips = np.array([(layer.strips_x, layer.strips_v) for layer in detector.cgem])
     first = np.cumsum([0, *(layer.sheets * (layer.strips_x + layer.strips_v) for layer in detector.cgem)])
     mine = strips[of["layer"]]

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.analysis.hits import hit_residuals
 from cgemit.base.arrays import Flags, Floats
-from cgemit.bes3.events import Bes3Events
+from cgemit.base.files import new_file
+from cgemit.bes3.events import Bes3Events, strip_numbers
 from cgemit.bes3.wires import all_wire_hits, find_start_times
 from cgemit.chain.record import table_meta
 from cgemit.chain.result import Result
 from cgemit.chain.settings import TABLES, Settings, detectors_of, find_settings, fit_settings
 from cgemit.detector import Detector
-from cgemit.detector.layers.layer import seen_by
 from cgemit.detector.parts import cgem_numbers
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.helix import wrap_angle
@@ -25,10 +28,12 @@ from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import MOST_STEP, StartTimeStatus, refinements
-from cgemit.reconstruction.states import extrapolate
+from cgemit.reconstruction.states import crossings_of
 from cgemit.reconstruction.strip_times import from_start, strip_times
 from cgemit.tables import Table
-from cgemit.tables.schema import XV_CLUSTER, is_fitted
+from cgemit.tables.formats import plain_columns, write_columns
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER, is_fitted
+from cgemit.tables.show import write_csv
 
 #: Turns of finding and fitting the start times from wires alone, and the step, ns, that ends them.
 TURNS, STAYS = 5, 0.5
@@ -54,7 +59,8 @@ def reconstruct_events(
     events : Bes3Events
         Of `read_events`.
     settings : Settings or None
-        Of clusters, finder, fit and refinements; drift times are raw, and start times are fitted, in any case.
+        Of clusters, finder, fit and refinements; in any case, drift times are raw, start times are fitted, and clusters
+        compete for tracks.
     points : str or None
         ``"strips"``: clusters are made of the fired strips, with the readout of the detector. ``"file"``: the clusters
         of the file. None: those of the file if it has some.
@@ -75,7 +81,8 @@ def reconstruct_events(
     """
     begin = time.perf_counter()
     settings = Settings.of(settings)
-    settings = replace(settings, refine=replace(settings.refine, drift_times="raw", start_time="fitted"))
+    refine = replace(settings.refine, drift_times="raw", start_time="fitted", points="compete")
+    settings = replace(settings, refine=refine)
     made, start = _steady(events, _guess(events, start_time), settings)
     of_wires = made["start_times"]
     wires = all_wire_hits(events, start)
@@ -139,16 +146,12 @@ def point_offsets(events: Bes3Events, result: Result) -> list[PointOffset]:
     found = []
     for number in cgem_numbers(events.detector):
         layer = events.detector.layers[number]
-        states = extrapolate(events.detector, tracks, layer.r_mid)
-        states = states[states["status"] == 0]
+        at = crossings_of(events.detector, tracks, number)
         here = points[points["layer"] == number]
-        at, along = (
-            np.stack([states[name] for name in names], axis=1) for names in (("x", "y", "z"), ("px", "py", "pz"))
-        )
         away = []
-        for event, (x, y, z) in zip(states["event"].tolist(), seen_by(layer, at, along), strict=True):
+        for event, phi, z in zip(at.states["event"].tolist(), at.phi, at.z, strict=True):
             mine = here[here["event"] == event]
-            dx = layer.r_readout * wrap_angle(mine["phi"] - np.arctan2(y, x))
+            dx = layer.r_readout * wrap_angle(mine["phi"] - phi)
             dz = mine["z"] - z
             near = (np.abs(dx) < NEAR[0]) & (np.abs(dz) < NEAR[1])
             if near.any():
@@ -162,6 +165,140 @@ def point_offsets(events: Bes3Events, result: Result) -> list[PointOffset]:
         numbers = (float(mean[0]), float(error[0]), float(mean[1]), float(error[1]))
         found.append(PointOffset(layer.label, n, *numbers))
     return found
+
+
+def numbered_tables(events: Bes3Events, result: Result) -> dict[str, dict[str, npt.NDArray[Any]]]:
+    """Return tracks, points and residuals with the experiment's numbers of runs, events, layers, strips and wires.
+
+    `run` and `number` are those of the event in the experiment, `event` that in the file, and `track` the row of
+    ``tracks``, also of tracks that were not fitted (`status`).
+
+    Parameters
+    ----------
+    events : Bes3Events
+    result : Result
+        Of `reconstruct_events`.
+
+    Returns
+    -------
+    dict of str to dict of str to ndarray
+        ``tracks``: one row for each; helix, covariance (`cov_0_0` ...), momentum, errors, numbers of hits, status.
+
+        ``points``: one row for each track and sheet with an X or a V cluster on it. `x_first`, `x_last`, `v_first`,
+        `v_last` are the first and last strips (-1 without the cluster), then charges (fC), times (ns), X and V on the
+        sheet with errors (mm), and phi (rad), z, r (mm) where X and V cross. `ambiguous` is 1 if another choice of
+        clusters is nearly as likely.
+
+        ``residuals``: one row for each hit of a fitted track, as `cgemit.study.hit_residuals`. `first` and `last` are
+        strips, or the wire; `gid` counts the strips of the CGEM, or the wires of the chamber, from 0.
+    """
+    tracks = result.tracks
+    about = {name: tracks[name] for name in tracks if tracks[name].ndim == 1 and name not in ("event", "candidate")}
+    rows = np.arange(len(tracks))
+    own = {"event": tracks["event"], "track": rows} | about | plain_columns({"cov": tracks["cov"]})
+    tables = {"tracks": own, "points": _points_on_tracks(result), "residuals": _numbered_residuals(result)}
+    return {
+        name: {"run": events.run[columns["event"]], "number": events.number[columns["event"]]} | columns
+        for name, columns in tables.items()
+    }
+
+
+#: Formats of the files of `save_numbered`.
+NumberedFormat = Literal["csv", "parquet", "root"]
+
+
+def save_numbered(
+    tables: Mapping[str, Mapping[str, npt.NDArray[Any]]], folder: str | os.PathLike[str], format: NumberedFormat = "csv"
+) -> list[Path]:
+    """Write the tables of `numbered_tables` for other programs, as ``bes3_tracks.csv`` and so on.
+
+    Parameters
+    ----------
+    tables : mapping of str to mapping of str to ndarray
+    folder : path
+        Where there is no such file yet.
+    format : str
+        ``"csv"``, ``"parquet"`` (needs pyarrow) or ``"root"`` (one TTree a file; needs uproot).
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    FileExistsError
+        If there is one of the files.
+    ValueError
+        If the format is unknown, or needs a package that is not installed.
+    """
+    if format not in get_args(NumberedFormat):
+        raise ValueError(f"format: got {format!r}, expected one of {', '.join(map(repr, get_args(NumberedFormat)))}")
+    files = []
+    for name, columns in tables.items():
+        files.append(Path(folder) / f"bes3_{name}.{format}")
+        with new_file(files[-1]) as path:
+            if format == "csv":
+                write_csv(path, columns, digits=9)
+            else:
+                write_columns(path, format, name, columns)
+    return files
+
+
+def _first_tracks(result: Result) -> npt.NDArray[np.int64]:
+    """Return the first row of ``tracks`` of each candidate, -1 without one."""
+    rows = np.full(len(result.candidates), -1, np.int64)
+    rows[result.tracks["candidate"][::-1]] = np.arange(len(result.tracks))[::-1]
+    return rows
+
+
+def _points_on_tracks(result: Result) -> dict[str, npt.NDArray[Any]]:
+    """Return the table ``points`` of `numbered_tables`, without the experiment's numbers of events."""
+    clusters, hits = result.clusters, result.candidate_hits
+    on = hits[(hits["view"] == HIT_X) | (hits["view"] == HIT_V)]
+    crossing = clusters[(clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] >= 0)]
+    pairs = zip(crossing["x_cluster"].tolist(), crossing["v_cluster"].tolist(), strict=True)
+    of_pair = {pair: row for row, pair in enumerate(pairs)}
+    keys = np.stack(
+        [_first_tracks(result)[on["candidate"]], clusters["layer"][on["hit"]], clusters["sheet"][on["hit"]]]
+    )
+    (track, layer, sheet), place = np.unique(keys, axis=1, return_inverse=True)
+    at = np.full((2, len(track)), -1, np.int64)  # rows of X and V
+    at[on["view"], place.reshape(-1)] = on["hit"]
+    ambiguous = np.zeros(len(track), np.int8)
+    if "ambiguous" in on:
+        np.maximum.at(ambiguous, place.reshape(-1), on["ambiguous"])
+
+    def of(row: npt.NDArray[np.int64], name: str, none: float) -> npt.NDArray[Any]:
+        column = clusters[name]
+        return np.append(column, np.array(none, column.dtype))[row]  # the last one for row -1
+
+    columns: dict[str, npt.NDArray[Any]] = {
+        "event": result.tracks["event"][track], "track": track, "layer": layer, "sheet": sheet, "ambiguous": ambiguous
+    }  # fmt: skip
+    for view, row in zip("xv", at, strict=True):
+        columns |= {f"{view}_{name}": of(row, name, -1) for name in ("first", "last")}
+        columns |= {f"{view}_{name}": of(row, name, np.nan) for name in ("charge", "time")}
+        columns |= {name: of(row, name, np.nan) for name in (view, f"err_{view}")}
+    both = np.array([of_pair.get((x, v), -1) for x, v in at.T.tolist()], np.int64)
+    columns |= {name: np.append(crossing[name], np.nan)[both] for name in ("phi", "err_phi", "z", "err_z")}
+    return columns | {"r": np.array([one.r_mid for one in result.detector.layers], np.float64)[layer]}
+
+
+def _numbered_residuals(result: Result) -> dict[str, npt.NDArray[Any]]:
+    """Return the table ``residuals`` of `numbered_tables`, without the experiment's numbers of events."""
+    hits = hit_residuals(result)
+    wire, strip = hits.view == HIT_WIRE, hits.view != HIT_WIRE
+    columns: dict[str, npt.NDArray[Any]] = {name: one for name, one in vars(hits).items() if name != "hit"}
+    # The fit of the residuals has one track for each candidate.
+    columns |= {"track": _first_tracks(result)[hits.track], "used": hits.used.astype(np.int8), "pull": hits.pull}
+    for name, of_strips, of_wires in (("first", "first", "wire"), ("last", "last", "wire"), ("gid", None, "gid")):
+        columns[name] = np.full(len(hits), -1, np.int64)
+        columns[name][wire] = result.wire_hits[of_wires][hits.hit[wire]]
+        if of_strips is not None:
+            columns[name][strip] = result.clusters[of_strips][hits.hit[strip]]
+    place = {name: columns[name][strip] for name in ("layer", "sheet", "view")} | {"strip": columns["first"][strip]}
+    columns["gid"][strip] = strip_numbers(result.detector, place)
+    return columns
 
 
 def _absolute(times: Table, of_wires: Table, start: Floats) -> Table:
@@ -216,4 +353,5 @@ def _tracks(events: Bes3Events, clusters: Table, wires: Table, settings: Setting
         return find_tracks.unchecked(detector, clusters, wire_hits, find, fit=fit)
 
     how: dict[str, Any] = {"refinements": refinements(settings.refine), "find_again": settings.refine.find_again}
+    how["compete"] = settings.refine.points == "compete" and len(clusters) > 0
     return reconstruct(events.detector, clusters, wires, ckf, fit, **how)

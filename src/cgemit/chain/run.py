@@ -268,10 +268,14 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
         finder_of_run(job, Truths(job.detector, particles, truths, wire_truths)),
         Hits(clusters, wire_hits, digis),
     )
-    again = settings.refine.find_again and job.finder != "truth"
+    unsure = job.finder != "truth"
+    how = {
+        "find_again": settings.refine.find_again and unsure,
+        "compete": settings.refine.points == "compete" and unsure,
+    }
     found: Tables = {}
     refined = refinements_of(settings, job.fit_detector)
-    for step, tables in turns(job.fit_detector, hits, finder, fit, refined, find_again=again):
+    for step, tables in turns(job.fit_detector, hits, finder, fit, refined, **how):
         found |= tables
         yield step, {name: table for name, table in tables.items() if name != "components" or settings.fit.components}
     tracks, candidates = found["tracks"], (found["candidates"], found["candidate_hits"])

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Read events of BESIII (.raw of the readout, .rec or .rtraw of its software; pybes3, extra [bes3]), find the start time
 of each event, make clusters of the fired strips, and find and fit the tracks of all fired cells and strips, without the
-experiment's own reconstruction. The folder receives the tables, which `cgemit.open` reads, tracks.csv, summary.json
-and a picture of the event with most hits on tracks."""
+experiment's own reconstruction. The folder receives the tables, which `cgemit.open` reads; tracks, points and residuals
+with the experiment's numbers of runs, events, strips and wires, as bes3_tracks.csv, bes3_points.csv, bes3_residuals.csv
+(or .parquet, .root); summary.json; and a picture of the event with most hits on tracks."""
 
 EXAMPLES = """\
 The detector needs the layers of the hits: besiii-idc before 2024, besiii-cgem since. Strips with time need an analog
@@ -27,6 +28,7 @@ readout, such as tiger.
 examples:
   cgemit reconstruct run.raw -d besiii-cgem --field besiii --readout tiger -o run
   cgemit reconstruct run.raw -d besiii-cgem --field besiii --readout tiger --event 3 --event 7 -o run
+  cgemit reconstruct run.raw -d besiii-cgem --field besiii --readout tiger --format root -o run
   cgemit reconstruct run.rec -d besiii-idc --field besiii --hypothesis mu -o old"""
 
 #: Columns of tracks that are printed, with their formats.
@@ -50,6 +52,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="event to draw, counted from 0 in the file; may be repeated (default: that with most hits on tracks)",
     )  # fmt: skip
     options.add_hypothesis(parser)
+    parser.add_argument(
+        "--format", choices=("csv", "parquet", "root"), default="csv",
+        help="of tracks, points and residuals, and, but for csv, of the other tables (default csv, and npz for those)",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     options.add_output(parser, "folder for tables, pictures, summary.json", required=True)
     options.add_common(parser)
@@ -61,12 +67,14 @@ def run(arguments: argparse.Namespace) -> int:
 
     from cgemit.base.files import SUMMARY, check_free, new_folder
     from cgemit.bes3.events import read_events
-    from cgemit.bes3.reconstruct import point_offsets, reconstruct_events
+    from cgemit.bes3.reconstruct import numbered_tables, point_offsets, reconstruct_events, save_numbered
     from cgemit.draw.display import event
+    from cgemit.tables.formats import check_format
     from cgemit.tables.schema import is_fitted
-    from cgemit.tables.show import text_table, write_csv
+    from cgemit.tables.show import text_table
 
     check_free(arguments.output, overwrite=arguments.overwrite)
+    form = check_format("npz" if arguments.format == "csv" else arguments.format)
     (detector,), settings = options.load_inputs(arguments, one_track=True)
     events = read_events(arguments.file, detector)
     numbers = _numbers(arguments, len(events.run))
@@ -77,8 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
     text = json.dumps(about, indent=2, allow_nan=False)
     hits = np.bincount(result.tracks["event"], result.tracks["n_clusters"] + result.tracks["n_wires"], len(events.run))
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
-        result.save(folder, command=arguments.line)
-        write_csv(folder / "tracks.csv", {name: result.tracks[name] for name in _COLUMNS}, digits=9)
+        result.save(folder, command=arguments.line, format=form)
+        save_numbered(numbered_tables(events, result), folder, arguments.format)
         (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
         for number in numbers or [int(hits.argmax())]:
             event(result, number).save(folder / f"event-{number}")

@@ -256,8 +256,8 @@ def _on_track(
     of_clusters, of_wires = np.zeros(len(clusters), np.bool_), np.zeros(len(wire_hits), np.bool_)
     if hits is not None:
         wire = hits["view"] == HIT_WIRE
-        of_wires[hits["row"][wire]] = True
-        of_clusters[hits["row"][~wire]] = True
+        of_wires[hits["hit"][wire]] = True
+        of_clusters[hits["hit"][~wire]] = True
     both = clusters["view"] == XV_CLUSTER
     parts = [clusters[name][both] for name in ("x_cluster", "v_cluster")]
     of_clusters[both] |= of_clusters[parts[0]] & of_clusters[parts[1]]

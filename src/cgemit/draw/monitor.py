@@ -256,7 +256,7 @@ def draw_residual_profiles(hits: HitResiduals, by: Sequence[str] = ("time", "inc
 
 
 def draw_efficiencies(found: LayerEfficiencies) -> Picture:
-    """Draw the efficiencies of layers and their regions, with 68 % errors.
+    """Draw the efficiencies of layers and their regions, with 68 % intervals of Wilson, which end at 100 %.
 
     Parameters
     ----------
@@ -277,7 +277,8 @@ def draw_efficiencies(found: LayerEfficiencies) -> Picture:
         at = np.arange(len(found.label), dtype=np.float64)
         looks = (("x", "X", COLORS["x"]), ("v", "V", COLORS["v"]), ("both", "X and V", COLORS["data"]))
         for i, (name, label, colour) in enumerate(looks):
-            value, err = 100 * getattr(found, name), 100 * getattr(found, f"err_{name}")
+            value, low, high = (100 * getattr(found, key) for key in (name, f"{name}_low", f"{name}_high"))
+            err = [value - low, high - value]
             plot.errorbar(at + 0.2 * (i - 1), value, err, fmt="osD"[i], color=colour, ms=4, capsize=2, label=label)
         names = zip(found.label, found.region, found.tracks, strict=True)
         plot.set_xticks(at, [f"{label}\n{region}\n{n}" for label, region, n in names], fontsize=8)

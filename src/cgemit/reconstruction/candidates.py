@@ -46,7 +46,7 @@ class FitHits:
         Strips of the cluster; 0 for wires, XV clusters and clusters with a fixed error (`method` 1).
     side : ndarray, (hits,) int8
         Side of the wire; 0 where unknown and for clusters.
-    row : ndarray, (hits,) int64
+    hit : ndarray, (hits,) int64
         Row of the clusters or wire_hits table.
     k, x : ndarray, (hits,) float64
         For the V of an XV cluster: k, and the measured X in mm; otherwise 0.
@@ -60,7 +60,7 @@ class FitHits:
     sigma: npt.NDArray[np.float64]
     size: npt.NDArray[np.int32]
     side: npt.NDArray[np.int8]
-    row: npt.NDArray[np.int64]
+    hit: npt.NDArray[np.int64]
     k: npt.NDArray[np.float64]
     x: npt.NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def collect_hits(
 
 _READ = {
     "candidates": ("event", "mass"),
-    "candidate_hits": ("event", "candidate", "view", "row"),
+    "candidate_hits": ("event", "candidate", "view", "hit"),
     "clusters": ("event", "layer", "sheet", "size", "view", "x", "v", "err_x", "err_v", "cov_xv", "corr_xv"),
     "wire_hits": ("event", "layer", "wire", "drift", "sigma", "side"),
 }
@@ -118,7 +118,7 @@ _READ = {
 
 def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
     """Return which XV clusters repeat X or V clusters of the same candidate."""
-    view, row, candidate = (candidate_hits[name] for name in ("view", "row", "candidate"))
+    view, row, candidate = (candidate_hits[name] for name in ("view", "hit", "candidate"))
     points = np.flatnonzero((view == HIT_XV) & (row >= 0) & (row < len(clusters)))
     if not len(points):
         return []
@@ -198,7 +198,7 @@ def label_candidates(
         "event": event,
         "candidate": np.cumsum(first) - 1,
         "view": np.concatenate([view[rows[0]], np.full(len(rows[1]), HIT_WIRE)])[order],
-        "row": row[order],
+        "hit": row[order],
     }
     cover = clusters.cover
     return {

@@ -543,7 +543,7 @@ def _residual_columns(out: Out, hits: FitHits, event: Column) -> Columns:
         "track": track,
         "view": pick(hits.kind),
         "layer": pick(hits.layer),
-        "hit": pick(hits.row),
+        "hit": pick(hits.hit),
         "residual": residual,
         "err": err,
         "pull": residual / err,

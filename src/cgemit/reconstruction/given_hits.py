@@ -333,8 +333,9 @@ def fit_hits(
 
     finder = candidates if callable(candidates) else given
     made = reconstruct(
-        detector, *hits, finder, fitted, refinements=refinements(how), find_again=how.find_again and tables is None
-    )
+        detector, *hits, finder, fitted, refinements=refinements(how), find_again=how.find_again and tables is None,
+        compete=how.points == "compete",
+    )  # fmt: skip
     return {"clusters": hits[0], "wire_hits": hits[1], **made}
 
 
@@ -391,7 +392,7 @@ def hit_tables(
     listed, count = _core.reconstruction.hit_problems(compiled(detector), measured)
     tables = np.where(measured["kind"] == HIT_WIRE, "wire_hits", "clusters")
     wrong += [
-        one for i, *about in listed if (one := RowProblem(tables[i], int(measured["row"][i]), *about))[:2] not in rows
+        one for i, *about in listed if (one := RowProblem(tables[i], int(measured["hit"][i]), *about))[:2] not in rows
     ]
     problems += dict.fromkeys(map(str, sorted(wrong, key=lambda one: one[:2])))
     if labelled:  # else a finder may tell equal hits apart
@@ -546,11 +547,11 @@ def _measurements(clusters: Columns, wires: Columns) -> Columns:
     for table, rows, kind, channel, value, sigma in parts:
         layer = table["layer"][rows]
         of = {"layer": layer, "channel": table[channel][rows], "value": table[value][rows], "sigma": table[sigma][rows]}
-        of |= {"kind": np.full(len(layer), kind), "row": table["given_row"][rows], "size": np.zeros(len(layer))}
+        of |= {"kind": np.full(len(layer), kind), "hit": table["given_row"][rows], "size": np.zeros(len(layer))}
         of["side"] = table["side"][rows] if kind == HIT_WIRE else np.zeros(len(layer))
         for name, column in of.items():
             joined.setdefault(name, []).append(column)
-    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "row": "i8"}
+    kinds = {"kind": "u1", "layer": "i4", "channel": "i4", "size": "i4", "side": "i8", "hit": "i8"}
     columns = {name: np.concatenate(column).astype(kinds.get(name, "f8")) for name, column in joined.items()}
     return columns | {"side": np.clip(columns["side"], -128, 127).astype(np.int8)}
 

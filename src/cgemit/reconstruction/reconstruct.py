@@ -10,6 +10,7 @@ from cgemit.detector import Detector, load
 from cgemit.detector.channels import checked
 from cgemit.reconstruction.candidates import Finder, by_finder
 from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.reconstruction.points import settle_points
 from cgemit.reconstruction.refine import Hits, Refinement, Turn
 from cgemit.reconstruction.states import SurfaceName
 from cgemit.tables import Table
@@ -28,6 +29,7 @@ def reconstruct(
     *,
     refinements: Sequence[Refinement] = (),
     find_again: bool = True,
+    compete: bool = False,
     digis: Table | None = None,
 ) -> dict[str, Table]:
     """Reconstruct tracks from clusters and wire hits, simulated or real.
@@ -46,6 +48,9 @@ def reconstruct(
         What fitted tracks correct of their hits; `refinements` makes them from settings. They act in this order.
     find_again : bool
         Whether tracks are found a second time with the corrected hits.
+    compete : bool
+        Whether clusters of CGEM layers compete for the tracks before the last fit; ``candidate_hits`` then has the
+        columns `margin` and `ambiguous`.
     digis : Table or None
         Strips of the clusters, which `ClusterDirection` needs.
 
@@ -72,7 +77,8 @@ def reconstruct(
     """
     tables: dict[str, Table] = {}
     measured, settings = Hits(clusters, wire_hits, digis), FitSettings.of(settings)
-    for _, made in turns(load(detector), measured, finder, settings, refinements, find_again=find_again):
+    how = {"find_again": find_again, "compete": compete}
+    for _, made in turns(load(detector), measured, finder, settings, refinements, **how):
         tables |= made
     return tables
 
@@ -85,6 +91,7 @@ def turns(
     refinements: Sequence[Refinement] = (),
     *,
     find_again: bool = True,
+    compete: bool = False,
 ) -> Iterator[tuple[str, dict[str, Table]]]:
     """Yield the tables of each step of `reconstruct` after its name, ``"find"`` or ``"fit"``; later ones count.
 
@@ -99,6 +106,7 @@ def turns(
     settings : FitSettings
     refinements : sequence of Refinement
     find_again : bool
+    compete : bool
     """
     last = max((one.turns for one in refinements), default=1) - 1 + (find_again and bool(refinements))
     single = settings.hypothesis if len(settings.hypotheses()) == 1 else None
@@ -119,6 +127,8 @@ def turns(
         for one in refinements:
             hits = one.refine(detector, hits, turn)
         yield "fit", {}
+    if compete:
+        found = settle_points(detector, hits.clusters, hits.wire_hits, found, settings)
     tables = {**found, **_fitted(detector, hits, found, settings), **hits.refined(measured)}
     for one in refinements:
         tables |= one.finish(detector, tables)

@@ -57,6 +57,9 @@ class RefineSettings(SettingsData):
         Prior uncertainty of the start time, ns; only with a fitted one. None: no prior.
     find_again : bool
         Whether tracks are found a second time with the corrected hits.
+    points : str
+        ``"compete"``: before the last fit, the X and V clusters of each CGEM layer compete for the tracks that cross it
+        (docs/methods/reconstruct.md). ``"found"``: tracks keep those of the finder. A run with true hits keeps them.
 
     Raises
     ------
@@ -77,6 +80,7 @@ class RefineSettings(SettingsData):
     start_time: Literal["given", "fitted"] = "given"
     start_time_error: TimeError | None = None
     find_again: bool = True
+    points: Literal["found", "compete"] = "found"
 
     def contradictions(self, problems: Problems) -> None:
         """Note an error of a start time that is not fitted."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from cgemit.base.arrays import Floats
 from cgemit.base.errors import report
 from cgemit.base.validate import number
 from cgemit.detector import SCREENINGS, Detector, load, slabs
+from cgemit.detector.layers.layer import local_v, seen_by
 from cgemit.fit_matter import tuned
 from cgemit.particles.species import HYPOTHESES, usual_mass
 from cgemit.reconstruction.candidates import FitHits
@@ -185,6 +186,69 @@ def extrapolate(
     return Table("states", columns | at, meta=table.meta, **table.cover)
 
 
+class Crossings(NamedTuple):
+    """Where tracks cross a layer of strips, in the axes of the layer, one row for each track that crosses it.
+
+    Attributes
+    ----------
+    states : Table of kind "states"
+        On the cylinder in the middle of the layer; `track` is the row of the track.
+    sheet : ndarray, (n,) int64
+    phi, z : ndarray, (n,) float64, rad, mm
+    x, v : ndarray, (n,) float64, mm
+        X and V on the sheet.
+    cov : ndarray, (n, 2, 2) float64, mm2
+        Covariance of X and V.
+    """
+
+    states: Table
+    sheet: npt.NDArray[np.int64]
+    phi: Floats
+    z: Floats
+    x: Floats
+    v: Floats
+    cov: Floats
+
+
+def crossings_of(detector: Detector, tracks: Table, number: int) -> Crossings:
+    """Return where tracks cross a layer of strips.
+
+    A track that is displaced by d across itself crosses the cylinder at a point that is shifted by d/cos(a) along the
+    circumference, a being its angle to the radius, and by d tan(a) tan(lambda) along the beam.
+
+    Parameters
+    ----------
+    detector : Detector
+    tracks : Table of kind "tracks"
+        Fitted without hits of the layer, if its prediction is wanted.
+    number : int
+        Of the layer.
+    """
+    layer = detector.layers[number]
+    states = extrapolate(detector, tracks, layer.r_mid)
+    states = states[states["status"] == StateStatus.ok]
+    point, along = (np.stack([states[n] for n in names], axis=1) for names in (("x", "y", "z"), ("px", "py", "pz")))
+    local = seen_by(layer, point, along)
+    phi, z = np.arctan2(local[:, 1], local[:, 0]), local[:, 2]
+    sheet = np.asarray(layer.sheet_at(phi), np.int64)
+    x = layer.r_readout * np.remainder(phi - np.asarray(layer.sheet_phi)[sheet], 2 * np.pi)
+    v = local_v(layer, x, z)
+    # Unit vectors across (n) and along (u) the track, and outward (r) and around (f), in the transverse plane.
+    n = np.stack([np.cos(states["phi0"]), np.sin(states["phi0"])])
+    u = along[:, :2].T / np.hypot(along[:, 0], along[:, 1])
+    r = point[:, :2].T / np.hypot(point[:, 0], point[:, 1])
+    outward, around = np.sum(u * r, axis=0), u[1] * r[0] - u[0] * r[1]
+    step = -np.sum(n * r, axis=0) / np.copysign(np.maximum(np.abs(outward), 1e-3), outward)
+    dx = (n[1] * r[0] - n[0] * r[1] + step * around) * layer.r_readout / layer.r_mid
+    dz = step * along[:, 2] / np.hypot(along[:, 0], along[:, 1])
+    zero, one = np.zeros(len(x)), np.ones(len(x))
+    slope = np.stack([np.stack([dx, zero], 1), np.stack([dz, one], 1)], axis=1)  # of X and z in dr and dz
+    turn = np.array([[1.0, 0.0], [np.cos(layer.stereo), -np.sin(layer.stereo)]])  # of X and V in X and z
+    slope = turn @ slope
+    cov = slope @ states["cov"][:, [[0, 0], [3, 3]], [[0, 3], [0, 3]]] @ np.swapaxes(slope, 1, 2)
+    return Crossings(states, sheet, phi, z, x, v, cov)
+
+
 def _start_problems(
     table: Table, radius: object, particle: object, screening: object, loss: object, momentum: object
 ) -> list[str]:
@@ -233,7 +297,7 @@ def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
     """Columns view, layer and hit of states at hits, by their row in `hits`; -1 for those that are at none."""
     at_hit = hit >= 0
     found: Columns = {}
-    for name, kind, values in (("view", "i1", hits.kind), ("layer", "i4", hits.layer), ("hit", "i8", hits.row)):
+    for name, kind, values in (("view", "i1", hits.kind), ("layer", "i4", hits.layer), ("hit", "i8", hits.hit)):
         column = np.full(len(hit), -1, kind)
         column[at_hit] = values[hit[at_hit]]
         found[name] = column

@@ -5,9 +5,11 @@ from cgemit.analysis.cosmics import Cosmics, cosmics
 from cgemit.analysis.finding import Finding, FindingRates, LoopLinks, finding, loop_links
 from cgemit.analysis.hits import (
     HitResiduals,
+    LayerCrossings,
     LayerEfficiencies,
     ResidualTable,
     hit_residuals,
+    layer_crossings,
     layer_efficiencies,
     strip_status,
 )
@@ -54,6 +56,7 @@ __all__ = [
     "Fraction",
     "GaussianFit",
     "HitResiduals",
+    "LayerCrossings",
     "LayerEfficiencies",
     "LoopLinks",
     "Optimization",
@@ -79,6 +82,7 @@ __all__ = [
     "grid",
     "hit_residuals",
     "latin_hypercube",
+    "layer_crossings",
     "layer_efficiencies",
     "loop_links",
     "measure",

@@ -274,6 +274,27 @@ def _check_numbers(table: Rows, form: str) -> None:
     report(table.kind, wrong)
 
 
+def write_columns(path: Path, form: str, name: str, columns: Mapping[str, Array]) -> None:
+    """Write columns (n,) of numbers, of no kind of table, for other programs.
+
+    Parameters
+    ----------
+    path : Path
+    form : str
+        ``"parquet"`` or ``"root"``.
+    name : str
+        Of the TTree.
+    columns : mapping of str to ndarray
+    """
+    if form == "parquet":
+        package("pyarrow.parquet").write_table(package("pyarrow").table(dict(columns)), path)
+        return
+    with package("uproot").recreate(path) as file:
+        tree = file.mktree(name, {key: column.dtype for key, column in columns.items()})
+        if len(next(iter(columns.values()))):
+            tree.extend(dict(columns))
+
+
 _MOST_COLUMNS = 100_000  # of a file of plain columns
 
 

@@ -414,7 +414,7 @@ _CANDIDATE_HITS = (
     EVENT,
     link("candidate", "the candidate", "candidates"),
     column_of("i1", "view", "", "0 X, 1 V, 2 wire, 3 XV: both coordinates of the cluster, with their covariance"),
-    link("row", "the cluster or wire hit", ("clusters", "clusters", "wire_hits", "clusters")),
+    link("hit", "the cluster or wire hit", ("clusters", "clusters", "wire_hits", "clusters")),
 )
 
 _SEARCHES = (
@@ -528,7 +528,7 @@ def is_fitted(tracks: Any) -> Flags:
 
 #: Links that lead to a row; others are -1 where there is none.
 NEEDED_LINKS = frozenset(
-    {"steps.truth", "candidate_hits.candidate", "candidate_hits.row", "tracks.candidate", "matches.track"}
+    {"steps.truth", "candidate_hits.candidate", "candidate_hits.hit", "tracks.candidate", "matches.track"}
     | {"residuals.track", "residuals.hit", "states.track", "vertices.first", "vertices.second"}
 )
 

@@ -121,7 +121,7 @@ def _shared(detector: Detector, tables: Mapping[str, Table], best: Rows) -> Rows
     if not several.any() or not len(truths):
         return shared
     strips = np.flatnonzero(hits["view"] != HIT_WIRE)
-    candidate, row = hits["candidate"][strips], hits["row"][strips]
+    candidate, row = hits["candidate"][strips], hits["hit"][strips]
     chosen = several[row] & (best[candidate] >= 0)
     candidate, row = candidate[chosen], row[chosen]
     own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)

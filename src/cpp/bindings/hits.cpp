@@ -85,7 +85,7 @@ py::dict collect(const Detector& detector, const py::dict& candidates, const py:
                               .mass = candidate.get<double>("mass"),
                               .hit_event = hit.get<std::int64_t>("event"),
                               .candidate = hit.get<std::int64_t>("candidate"),
-                              .row = hit.get<std::int64_t>("row"),
+                              .hit = hit.get<std::int64_t>("hit"),
                               .view = hit.get<std::int8_t>("view")};
   const auto of_clusters = cluster.read<ClusterInput>();
   const auto of_wires = wire.read<WireInput>();

@@ -36,7 +36,7 @@ py::dict matched(const py::dict& particles, const py::dict& truths, const py::di
                          .cluster_view = of_clusters.get<std::int8_t>("view"),
                          .x_cluster = of_clusters.get<std::int64_t>("x_cluster"),
                          .candidate = links(of_hits, "candidate", candidates, 0),
-                         .row = of_hits.get<std::int64_t>("row"),
+                         .hit = of_hits.get<std::int64_t>("hit"),
                          .view = of_hits.get<std::int8_t>("view"),
                          .candidates = candidates};
   check_rows(input);

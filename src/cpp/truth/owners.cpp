@@ -55,8 +55,8 @@ void check_row(std::int64_t row, std::size_t size) {
 }  // namespace
 
 void check_rows(const MatchInput& in) {
-  for (std::size_t i = 0; i < in.row.size(); ++i)
-    check_row(in.row[i], in.view[i] == wire_view ? in.wire_truth.size() : in.cluster_truth.size());
+  for (std::size_t i = 0; i < in.hit.size(); ++i)
+    check_row(in.hit[i], in.view[i] == wire_view ? in.wire_truth.size() : in.cluster_truth.size());
 }
 
 namespace {
@@ -121,7 +121,7 @@ MatchOutput match_hits(const MatchInput& in) {
   const std::vector<std::size_t> order = by_candidate(in.candidate);
   const auto hit_at = [&](std::size_t i) { return order.empty() ? i : order[i]; };
   const auto owner_of = [&](std::size_t hit) {
-    const auto row = static_cast<std::size_t>(in.row[hit]);
+    const auto row = static_cast<std::size_t>(in.hit[hit]);
     return in.view[hit] == wire_view ? behind(of_crossing, in.wire_truth[row])
                                      : behind(of_truth, in.cluster_truth[row]);
   };
@@ -164,7 +164,7 @@ MatchOutput match_hits(const MatchInput& in) {
       else if (in.view[hit] == wire_view)
         ++out.crossings[candidate];
       else
-        each_view(in.cluster_truth[static_cast<std::size_t>(in.row[hit])], in.view[hit],
+        each_view(in.cluster_truth[static_cast<std::size_t>(in.hit[hit])], in.view[hit],
                   [&](std::int64_t key) { views.push_back(key); });
     }
     std::ranges::sort(views);
@@ -219,14 +219,14 @@ HitsOfParticles assign_hits(const AssignInput& in) {
   });
   HitsOfParticles out;
   out.candidate.resize(total);
-  out.row.resize(total);
+  out.hit.resize(total);
   out.view.resize(total);
   for (std::size_t candidate = 0, first = 0; candidate < ends.size(); first = ends[candidate++]) {
     const auto mine = std::span(hits).subspan(first, ends[candidate] - first);
     if (!std::ranges::is_sorted(mine, outward)) std::ranges::stable_sort(mine, outward);
     for (std::size_t i = first; i < ends[candidate]; ++i) {
       out.candidate[i] = static_cast<std::int64_t>(candidate);
-      out.row[i] = hits[i].row;
+      out.hit[i] = hits[i].row;
       out.view[i] = hits[i].wire ? wire_view : in.cluster_view[static_cast<std::size_t>(hits[i].row)];
     }
   }

@@ -32,7 +32,7 @@ struct MatchInput {
   Links cluster_truth, wire_truth;            // of clusters and wire hits
   std::span<const std::int8_t> cluster_view;  // 0 X, 1 V, 2 XV
   Links x_cluster;                            // of XV clusters
-  Links candidate, row;                       // of the hits of candidates
+  Links candidate, hit;                       // of the hits of candidates
   std::span<const std::int8_t> view;          // of these: 2 wire, 3 XV
   std::size_t candidates;
 };
@@ -66,12 +66,12 @@ void check_rows(const MatchInput& input);
 MatchOutput match_hits(const MatchInput& input);
 
 struct HitsOfParticles {
-  std::vector<std::int64_t> candidate, row;
+  std::vector<std::int64_t> candidate, hit;
   std::vector<std::int8_t> view;
 
   static constexpr auto columns() {
     return std::tuple(Column("candidate", &HitsOfParticles::candidate),
-                      Column("view", &HitsOfParticles::view), Column("row", &HitsOfParticles::row));
+                      Column("view", &HitsOfParticles::view), Column("hit", &HitsOfParticles::hit));
   }
 };
 

@@ -409,7 +409,7 @@ def test_hits_of_later_half_turns_are_own_hits(run_loops):
 
 def test_hits_of_daughters_are_not_pure(run):
     """They tell whose track it is, and count neither in its purity nor in its efficiency."""
-    links = run.wire_hits["wire_truth"][run.candidate_hits["row"][run.candidate_hits["view"] == HIT_WIRE]]
+    links = run.wire_hits["wire_truth"][run.candidate_hits["hit"][run.candidate_hits["view"] == HIT_WIRE]]
     daughter = np.zeros(len(run.wire_truths), "i4")
     daughter[links[run.wire_truths["event"][links] == 1][:7]] = 1
     tracks = fit(run.detector, run.clusters, run.wire_hits, run.candidates, run.candidate_hits)["tracks"]

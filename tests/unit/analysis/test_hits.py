@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import cgemit as cg
 from cgemit.detector.core import layer_table
@@ -97,6 +98,47 @@ def test_efficiency_of_a_layer_that_loses_a_known_share(run):
     assert found.tracks[sheets].sum() == n
     with pytest.raises(ValueError, match=r"near: got -1\.0, expected a positive distance"):
         cg.study.layer_efficiencies(run, near=-1.0)
+
+
+def test_intervals_of_efficiencies_are_those_of_scipy(run):
+    """Wilson's interval without continuity correction, of scipy; all of n seen: up to 100 % and not beyond."""
+    found = cg.study.layer_efficiencies(run)
+    confidence = 2 * stats.norm.cdf(1) - 1
+    for name in ("x", "v", "both"):
+        share, low, high = (getattr(found, key) for key in (name, f"{name}_low", f"{name}_high"))
+        for i, n in enumerate(found.tracks.tolist()):
+            ends = stats.binomtest(round(share[i] * n), n).proportion_ci(confidence, method="wilson")
+            np.testing.assert_allclose((low[i], high[i]), ends, rtol=1e-9)
+        assert high.max() <= 1
+    whole = found.columns()
+    row = int(np.argmax(found.x))
+    assert whole["x"][row] == whole["x_high"][row] == 1
+    assert whole["x_low"][row] < 1
+    assert "100.0 +0.0 -" in repr(found)
+
+
+def test_efficiencies_in_bins(run):
+    """Clusters of L1 in a part of the azimuth are moved away: the bins there lose them, the others do not."""
+    crossings = cg.study.layer_crossings(run)
+    whole = crossings.regions()
+    at = [i for i, name in enumerate(whole.region) if name == "all"]
+    by_z = crossings.binned("z", edges=[-400, -50, 50, 400])
+    assert by_z.label == ["L1"] * 3 + ["L2"] * 3 + ["L3"] * 3
+    assert by_z.tracks.reshape(3, 3).sum(axis=1).tolist() == whole.tracks[at].tolist()
+    clusters = run.clusters
+    lost = (clusters["layer"] == 0) & (clusters["view"] == 0) & (np.abs(clusters["phi"]) < 0.5)
+    moved = clusters.with_columns(phi=np.where(lost, clusters["phi"] + 1.5, clusters["phi"]))
+    spoilt = cg.Result(
+        detector=run.detector, gun=None, seed=0, settings=run.settings, timings={},
+        tables=dict(run.tables) | {"clusters": moved},
+    )  # fmt: skip
+    by_phi = cg.study.layer_crossings(spoilt).binned("phi", edges=[-3.2, -0.6, -0.4, 0.4, 0.6, 3.2])
+    assert by_phi.x[2] == 0
+    assert by_phi.x[[0, 4]].min() > 0.95
+    assert by_phi.v[2] > 0.9
+    assert by_phi.low[:5].tolist() == [-3.2, -0.6, -0.4, 0.4, 0.6]
+    with pytest.raises(ValueError, match="by: got 'layer', expected one of event, sheet, phi"):
+        crossings.binned("layer")
 
 
 def test_hot_and_dead_strips():

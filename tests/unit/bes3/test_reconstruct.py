@@ -13,7 +13,7 @@ import bes3_layout
 import cgemit as cg
 from cgemit.bes3 import events as bes3_events
 from cgemit.bes3.events import events_of, read_events
-from cgemit.bes3.reconstruct import point_offsets, reconstruct_events
+from cgemit.bes3.reconstruct import numbered_tables, point_offsets, reconstruct_events, save_numbered
 from cgemit.cli.main import main
 from cgemit.reconstruction.refine import StartTimeStatus
 from stats import assert_within
@@ -41,16 +41,7 @@ def late():
 @pytest.fixture(scope="module")
 def arrays(run, late):
     """What the readout gives: cells and strips, without any result of the experiment's software."""
-    of_run = bes3_layout.events_of(run)
-    cells, strips = of_run["mdc_digis"], of_run["cgem_digis"]
-    channel = cells["m_timeChannel"]
-    moved = ak.where(channel == 0x7FFFFFFF, channel, channel + np.rint(late / bes3_layout.TICK).astype("i4"))
-    time = strips["m_time_ns"] + (bes3_layout.START + late + OFFSET)
-    return {
-        "run": of_run["run"], "number": of_run["number"],
-        "mdc_digis": ak.with_field(cells, ak.values_astype(moved, "u4"), "m_timeChannel"),
-        "cgem_digis": ak.with_field(strips, time, "m_time_ns"),
-    }  # fmt: skip
+    return bes3_layout.as_read_out(run, late, OFFSET)
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +124,74 @@ def test_events_without_strips_or_start(arrays):
     assert not len(found.clusters)
 
 
+def test_tables_with_numbers_of_the_experiment(arrays, found, tmp_path):
+    """Every row against the readout's own words, and the files of all formats against the columns."""
+    events = events_of(arrays, CGEM)
+    tables = numbered_tables(events, found)
+    fired = {"cgem": set(), "mdc": set()}
+    for event, one in enumerate(arrays["cgem_digis"]["m_intId"].to_list()):
+        fired["cgem"] |= {(100 + event, bits & 7, bits >> 3 & 7, bits >> 6 & 1, bits >> 7 & 0xFFF) for bits in one}
+    for event, one in enumerate(arrays["mdc_digis"]["m_intId"].to_list()):
+        fired["mdc"] |= {(100 + event, bits >> 9 & 0x3F, bits & 0x1FF) for bits in one}
+    points, residuals = tables["points"], tables["residuals"]
+    assert len(points["number"]) > 2.7 * EVENTS
+    for i in range(len(points["number"])):
+        place = [int(points[name][i]) for name in ("number", "layer", "sheet")]
+        for view, name in enumerate("xv"):
+            ends = [int(points[f"{name}_{end}"][i]) for end in ("first", "last")]
+            if ends[0] >= 0:
+                assert {(*place, view, strip) for strip in ends} <= fired["cgem"]
+    wire = residuals["view"] == 2
+    cells = zip(*(residuals[name][wire].tolist() for name in ("number", "layer", "first")), strict=True)
+    assert set(cells) <= fired["mdc"]
+    gid = np.unique(np.stack([found.wire_hits[name] for name in ("layer", "wire", "gid")]), axis=1)
+    known = {(layer, cell): number for layer, cell, number in gid.T.tolist()}
+    of_wires = zip(*(residuals[name][wire].tolist() for name in ("layer", "first", "gid")), strict=True)
+    assert all(known[layer, cell] == number for layer, cell, number in of_wires)
+    of_strips = {
+        tuple(row) for row in np.stack([found.digis[n] for n in ("layer", "sheet", "view", "strip", "gid")]).T.tolist()
+    }
+    names = ("layer", "sheet", "view", "first", "gid")
+    assert set(zip(*(residuals[name][~wire].tolist() for name in names), strict=True)) <= of_strips
+    # Where X and V cross: the layer's radius and the track's own position.
+    both = np.isfinite(points["z"])
+    assert both.mean() > 0.9
+    near = points["z"][both] - residuals_at(tables, points, both)
+    assert np.median(np.abs(near)) < 0.5
+    assert tables["tracks"]["run"].tolist() == [-9989] * EVENTS
+    for kind in ("csv", "parquet", "root"):
+        files = save_numbered(tables, tmp_path, kind)
+        assert [path.name for path in files] == [f"bes3_{name}.{kind}" for name in tables]
+    pandas, uproot = pytest.importorskip("pandas"), pytest.importorskip("uproot")
+    for name, columns in tables.items():
+        as_csv, as_parquet = (
+            pandas.read_csv(tmp_path / f"bes3_{name}.csv"),
+            pandas.read_parquet(tmp_path / f"bes3_{name}.parquet"),
+        )
+        with uproot.open(tmp_path / f"bes3_{name}.root") as file:
+            as_root = file[name].arrays(library="np")
+        assert list(as_csv) == list(as_parquet) == list(as_root) == list(columns)
+        for key, column in columns.items():
+            np.testing.assert_array_equal(as_parquet[key], column)
+            np.testing.assert_array_equal(as_root[key], column)
+            np.testing.assert_allclose(
+                as_csv[key].to_numpy(np.float64), column.astype(np.float64), rtol=1e-8, atol=1e-12
+            )
+    with pytest.raises(ValueError, match=r"format: got 'xls', expected one of 'csv', 'parquet', 'root'"):
+        save_numbered(tables, tmp_path, "xls")
+
+
+def residuals_at(tables, points, rows):
+    """Return z of the track at the X hit of points, from the table of residuals."""
+    of = tables["residuals"]
+    x = of["view"] == 0
+    keys = zip(*(of[name][x].tolist() for name in ("track", "layer", "sheet")), strict=True)
+    z = dict(zip(keys, of["z"][x].tolist(), strict=True))
+    return np.array(
+        [z[key] for key in zip(*(points[n][rows].tolist() for n in ("track", "layer", "sheet")), strict=True)]
+    )
+
+
 def test_result_is_saved_and_drawn(found, tmp_path):
     found.save(tmp_path / "run")
     again = cg.open(tmp_path / "run")
@@ -202,11 +261,12 @@ def test_command(raw, found, tmp_path, capsys):
     assert f"{row['p']:.3f}" in text
     assert f"{row['chi2']:.1f}" in text
     assert (out / "event-3.png").stat().st_size > 10_000
+    assert {"bes3_tracks.csv", "bes3_points.csv", "bes3_residuals.csv"} < {path.name for path in out.iterdir()}
     summary = json.loads((out / "summary.json").read_text())
     offset = summary["strip_times"]["offset"]
     assert offset["value"] == pytest.approx(found.strip_times.meta["offset"])
     assert summary["events_with_start_time"] == EVENTS
-    table = np.genfromtxt(out / "tracks.csv", delimiter=",", names=True)
+    table = np.genfromtxt(out / "bes3_tracks.csv", delimiter=",", names=True)
     np.testing.assert_allclose(table["p"], found.tracks["p"], rtol=1e-7)
     assert main([*given, "--event", "30", "--overwrite"]) == 2
     assert "--event: got 30; expected numbers from 0 to 29" in capsys.readouterr().err

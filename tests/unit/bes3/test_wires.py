@@ -47,7 +47,7 @@ def test_every_fired_cell_comes_back(run, events):
     assert np.array_equal(wires["particle"], run.wire_truths["particle"][ours["wire_truth"]])
     on_track = np.zeros(len(ours), np.bool_)
     of = run.candidate_hits
-    on_track[of["row"][of["view"] == 2]] = True
+    on_track[of["hit"][of["view"] == 2]] = True
     assert np.array_equal(wires["track"] >= 0, on_track)
 
 

@@ -30,7 +30,7 @@ from cgemit.tables.schema import FitStatus
 
 GUN = Gun("mu-", p=(0.2, 1.5), cos_theta=(-0.9, 0.9), vertex_sigma=(0.3, 0.01, 8.0)) + Gun("pi+", pt=0.3, theta=1.2)
 SETTINGS = Settings(fit=FitSettings(residuals=True))
-LINKS = {"truth", "wire_truth", "x_cluster", "v_cluster", "candidate", "row", "track", "hit"}
+LINKS = {"truth", "wire_truth", "x_cluster", "v_cluster", "candidate", "track", "hit"}
 
 
 @pytest.fixture(scope="module")

@@ -121,6 +121,7 @@ CASES: dict[str, Case] = {
         0.1, ("refined_wire_hits", "tracks", "start_times"), FITTED_START | {"refine.find_again": False}
     ),
     "refine.find_again": Case(False, FOUND, FITTED_START),
+    "refine.points": Case("compete", FOUND),
 }
 
 

@@ -42,7 +42,7 @@ LINES = {
     "display": (SHOT, "event.png"),
     "readout": (["--angles", "0 deg,10 deg", "-n", "20"], "readout.csv"),
     "refit": (["run.rec", "-d", "besiii-cgem-design", "--hypothesis", "pi"], "kal.csv"),
-    "reconstruct": (["run.rec", "-d", "besiii-cgem-design", "--hypothesis", "pi"], "tracks.csv"),
+    "reconstruct": (["run.rec", "-d", "besiii-cgem-design", "--hypothesis", "pi"], "bes3_tracks.csv"),
     "monitor": (["run.rec", "-d", "besiii-cgem-design", "--hypothesis", "pi"], "index.html"),
     "align": (["--forecast", "-d", "besiii-cgem-design", "--muons", "50"], "alignment.csv"),
     "slab": (["Be 1 mm", "--p", "1", "-n", "1000"], "summary.json"),

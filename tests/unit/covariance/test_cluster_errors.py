@@ -132,7 +132,7 @@ def test_clusters_of_a_chip_have_its_correlation(second_pass: bool) -> None:
     result = cg.run(DESIGN, cg.Gun("mu-", p=1.0, cos_theta=0.3), 20, readout=readout)
     clusters, hits = result.fitted_hits[0], result.candidate_hits
     used = np.zeros(len(clusters), np.bool_)
-    used[hits["row"][hits["view"] < HIT_WIRE]] = True
+    used[hits["hit"][hits["view"] < HIT_WIRE]] = True
     by_angle = [expected_errors(DESIGN, readout, "merged", of_track).correlation for of_track in (False, True)]
     angles = np.linspace(COS_THETA[0], COS_THETA[-1], 20_001)
     alone, tracked = (

@@ -271,11 +271,11 @@ def test_dead_and_hot_wires():
         assert not ((layer == 12) & (wire < 40)).any()
         for one in (5, 60, 119):
             assert len(np.unique(found.wire_hits["event"][(layer == 20) & (wire == one)])) == n
-        hits = found.candidate_hits["row"][found.candidate_hits["view"] == 2]
+        hits = found.candidate_hits["hit"][found.candidate_hits["view"] == 2]
         hot = (layer == 20) & ((wire == 5) | (wire >= 60) & (wire < 120))
         assert hot.sum() == 61 * n
         assert not hot[hits].any()
-        taken = usual.wire_hits[usual.candidate_hits["row"][usual.candidate_hits["view"] == 2]]
+        taken = usual.wire_hits[usual.candidate_hits["hit"][usual.candidate_hits["view"] == 2]]
         dead = (taken["layer"] == 12) & (taken["wire"] < 40)
         masked = dead | (taken["layer"] == 20) & ((taken["wire"] == 5) | (taken["wire"] >= 60) & (taken["wire"] < 120))
         assert masked.sum() > 30

@@ -131,7 +131,7 @@ def test_hits_of_a_daughter_are_not_own():
     found = run.run(DETECTOR, Gun("K+", p=0.3, cos_theta=(-0.5, 0.5)), 40, seed=3)
     wires, n = found.wire_hits, len(found.wire_hits)
     assert len(found.candidates) == 40
-    columns = {"event": wires["event"], "candidate": wires["event"], "view": np.full(n, HIT_WIRE), "row": np.arange(n)}
+    columns = {"event": wires["event"], "candidate": wires["event"], "view": np.full(n, HIT_WIRE), "hit": np.arange(n)}
     every = Hits(found.candidates, Table("candidate_hits", columns, 40), found.clusters, wires)
     daughter = found.wire_truths["daughter"][wires["wire_truth"]] > 0
     assert 20 < daughter.sum() < n - 20

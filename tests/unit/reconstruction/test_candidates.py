@@ -93,13 +93,13 @@ def test_the_order_of_hits_changes_no_bit(result):
 def test_the_order_of_the_tables_changes_no_bit(result):
     """Clusters and wire hits in another order within their events, with candidates that follow them."""
     random, hits = np.random.default_rng(3), result.candidate_hits
-    row, tables = hits["row"].copy(), tables_of(result)
+    row, tables = hits["hit"].copy(), tables_of(result)
     for name, mine in (("clusters", hits["view"] != HIT_WIRE), ("wire_hits", hits["view"] == HIT_WIRE)):
         table = tables[name]
         order = np.lexsort((random.random(len(table)), table["event"]))
         tables[name] = table[order]
         row[mine] = np.argsort(order)[row[mine]]
-    tables["candidate_hits"] = hits.with_columns(row=row)
+    tables["candidate_hits"] = hits.with_columns(hit=row)
     assert same(fitted(tables)["tracks"], result.fitted)
 
 
@@ -219,7 +219,7 @@ def test_labels(result):
     number = candidates["candidate"][hits["candidate"]]
     assert set(hits["view"][number == 2]) == {HIT_X, HIT_V, HIT_WIRE}
     assert set(hits["view"][number == 5]) == {HIT_XV}
-    assert 1 not in clusters["layer"][hits["row"][(number == 2) & (hits["view"] != HIT_WIRE)]]
+    assert 1 not in clusters["layer"][hits["hit"][(number == 2) & (hits["view"] != HIT_WIRE)]]
     same_label = cg.label_candidates(clusters, wires, np.zeros(len(clusters), int), np.full(len(wires), -1))
     assert HIT_XV not in same_label["candidate_hits"]["view"]
 
@@ -240,18 +240,18 @@ def test_every_problem_is_listed_with_its_row(result):
     tables = tables_of(result)
     clusters, wires, hits = (tables[name] for name in ("clusters", "wire_hits", "candidate_hits"))
     on_x, on_wire = (np.flatnonzero(hits["view"] == view) for view in (HIT_X, HIT_WIRE))
-    x, w = hits["row"][on_x[:3]], hits["row"][on_wire[:5]]
+    x, w = hits["hit"][on_x[:3]], hits["hit"][on_wire[:5]]
     changed = {name: clusters[name].copy() for name in ("x", "err_x", "size", "layer")}
     changed["x"][x[0]], changed["err_x"][x[1]], changed["size"][x[1]], changed["layer"][x[2]] = np.nan, 0.0, -1, 3
     wire = {name: wires[name].copy() for name in ("wire", "layer", "sigma", "side", "drift")}
     wire["wire"][w[0]], wire["layer"][w[1]], wire["sigma"][w[2]], wire["side"][w[3]] = 100_000, 1, np.inf, 2
     wire["drift"][w[4]], wire["side"][w[4]] = -3.0, 1
-    row, event, candidate, view = (hits[name].copy() for name in ("row", "event", "candidate", "view"))
+    row, event, candidate, view = (hits[name].copy() for name in ("hit", "event", "candidate", "view"))
     row[on_wire[6]] = row[on_wire[5]]
     row[on_wire[-1]] = row[on_wire[7]]
     candidate[on_wire[9]], row[on_wire[10]], view[on_x[4]], view[on_x[5]] = 80, len(wires), HIT_V, 7
     tables |= {"clusters": clusters.with_columns(**changed), "wire_hits": wires.with_columns(**wire)}
-    tables["candidate_hits"] = hits.with_columns(row=row, event=event, candidate=candidate, view=view)
+    tables["candidate_hits"] = hits.with_columns(hit=row, event=event, candidate=candidate, view=view)
     with pytest.raises(ValueError, match="hits of candidates") as error:
         fit.unchecked(DETECTOR, *tables.values())
     text = str(error.value)
@@ -268,7 +268,7 @@ def test_every_problem_is_listed_with_its_row(result):
         f"candidates row 0: got wire_hits row {row[on_wire[5]]} twice, expected once",
         f"candidate_hits row {on_wire[-1]}: event: got 39, expected that of wire_hits row {row[on_wire[7]]}, 0",
         f"candidate_hits row {on_wire[9]}: candidate: got 80, expected 0 to 80 (excluded), rows of candidates",
-        f"candidate_hits row {on_wire[10]}: row: got {len(wires)}, expected 0 to {len(wires)} (excluded), rows of wire",
+        f"candidate_hits row {on_wire[10]}: hit: got {len(wires)}, expected 0 to {len(wires)} (excluded), rows of wire",
         f"candidate_hits row {on_x[4]}: view: got 1, expected that of clusters row {row[on_x[4]]}, whose view is 0",
         f"candidate_hits row {on_x[5]}: view: got 7, expected 0 (X), 1 (V), 2 (wire) or 3 (XV cluster)",
     ]
@@ -341,7 +341,7 @@ def test_columns_of_the_compiled_fit_are_checked(result):
         run(**{name: column[order] for name, column in hits.columns().items()})
     sigma = hits.sigma.copy()
     sigma[4] = -1
-    with pytest.raises(ValueError, match=f"row {hits.row[4]}: err_.: got -1"):
+    with pytest.raises(ValueError, match=f"row {hits.hit[4]}: err_.: got -1"):
         run(sigma=sigma)
 
 
@@ -349,7 +349,7 @@ def test_points_beside_their_strips_are_refused(result):
     """An XV cluster and the X cluster that it is made of measure the same."""
     points = np.flatnonzero(result.clusters["view"] == 2)
     first = result.clusters["x_cluster"][points[0]]
-    columns = {"event": [0, 0], "candidate": [0, 0], "view": [HIT_X, HIT_XV], "row": [first, points[0]]}
+    columns = {"event": [0, 0], "candidate": [0, 0], "view": [HIT_X, HIT_XV], "hit": [first, points[0]]}
     hits = Table("candidate_hits", columns, 40)
     with pytest.raises(ValueError, match=f"row 0: got clusters row {points[0]}, an XV cluster, and row {first}"):
         fit(DETECTOR, result.clusters, result.wire_hits, result.candidates, hits)
@@ -381,10 +381,10 @@ def test_matches_of_pure_candidates(result):
 
 def test_rows_that_are_not_there_are_listed(result):
     """Tracks and hits that count rows beyond the tables, or before them, are refused all at once."""
-    hits = {name: result.candidate_hits[name].copy() for name in ("candidate", "view", "row")}
+    hits = {name: result.candidate_hits[name].copy() for name in ("candidate", "view", "hit")}
     hits["candidate"][:2] = 99, -1
     wire = np.flatnonzero(hits["view"] == HIT_WIRE)[0]
-    hits["row"][[3, wire]] = -1, 10**6
+    hits["hit"][[3, wire]] = -1, 10**6
     candidate = result.fitted["candidate"].copy()
     candidate[5] = 80
     with pytest.raises(ValueError, match="match:") as error:
@@ -392,8 +392,8 @@ def test_rows_that_are_not_there_are_listed(result):
     assert [line.strip() for line in str(error.value).splitlines()[1:]] == [
         "tracks row 5: candidate: got 80, expected a row of candidates, of the same event",
         "candidate_hits row 0: candidate: got 99, expected a row of candidates, of the same event (2 such rows)",
-        "candidate_hits row 3: row: got -1, expected a row of clusters, of the same event",
-        f"candidate_hits row {wire}: row: got 1000000, expected a row of wire_hits, of the same event",
+        "candidate_hits row 3: hit: got -1, expected a row of clusters, of the same event",
+        f"candidate_hits row {wire}: hit: got 1000000, expected a row of wire_hits, of the same event",
     ]
     hits["view"][2] = 9
     with pytest.raises(ValueError, match="candidate_hits row 2: view: got 9, expected a whole number from 0 to 3"):
@@ -421,7 +421,7 @@ def test_noise_is_nobodys(result):
     """Hits without a truth count against the purity, and name no particle."""
     hits = result.candidate_hits
     wire_truth = result.wire_hits["wire_truth"].copy()
-    first = hits["row"][(hits["candidate"] == 0) & (hits["view"] == HIT_WIRE)]
+    first = hits["hit"][(hits["candidate"] == 0) & (hits["view"] == HIT_WIRE)]
     wire_truth[first[:10]] = -1
     tables = dict(result.tables) | {"wire_hits": result.wire_hits.with_columns(wire_truth=wire_truth)}
     order = ("tracks", "candidates", "candidate_hits", "clusters", "wire_hits", "particles", "truths", "wire_truths")
@@ -429,7 +429,7 @@ def test_noise_is_nobodys(result):
     n = np.sum(hits["candidate"] == 0)
     assert matches["particle"][0] == 0
     assert matches["purity"][0] == (n - 10) / n
-    only = hits[(hits["candidate"] == 0) & np.isin(hits["row"], first[:10]) & (hits["view"] == HIT_WIRE)]
+    only = hits[(hits["candidate"] == 0) & np.isin(hits["hit"], first[:10]) & (hits["view"] == HIT_WIRE)]
     tables["candidate_hits"] = only
     matches = match(*(tables[name] for name in order), detector=DETECTOR)["matches"]
     assert (matches["particle"][0], matches["purity"][0]) == (-1, 0)

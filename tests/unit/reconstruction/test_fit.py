@@ -505,7 +505,7 @@ def points():
         "event": event,
         "candidate": np.concatenate([hits["candidate"][on_wire], clusters["event"][rows]]),
         "view": np.concatenate([hits["view"][on_wire], np.full(len(rows), HIT_XV)]),
-        "row": np.concatenate([hits["row"][on_wire], rows]),
+        "hit": np.concatenate([hits["hit"][on_wire], rows]),
     }
     found = Table("candidate_hits", {name: column[order] for name, column in columns.items()}, 60)
     return result, smeared, found
@@ -575,7 +575,7 @@ def test_decorrelated_columns(points):
     k = RHO * ERR_V / ERR_X
     np.testing.assert_allclose(hits.k[v], k)
     np.testing.assert_array_equal(hits.x[v], hits.value[x])
-    np.testing.assert_allclose(hits.value[v], clusters["v"][hits.row[v]] - k * clusters["x"][hits.row[x]])
+    np.testing.assert_allclose(hits.value[v], clusters["v"][hits.hit[v]] - k * clusters["x"][hits.row[x]])
     np.testing.assert_allclose(hits.sigma[v], ERR_V * np.sqrt(1 - RHO**2))
 
 
@@ -667,7 +667,7 @@ def test_two_clusters_are_a_point_with_their_correlation(muons: cg.Result) -> No
     columns = {
         "event": event, "candidate": np.concatenate([hits["candidate"][wires], clusters["event"][xv]]),
         "view": np.concatenate([hits["view"][wires], np.full(len(xv), HIT_XV)]),
-        "row": np.concatenate([hits["row"][wires], xv]),
+        "hit": np.concatenate([hits["hit"][wires], xv]),
     }  # fmt: skip
     found = Table("candidate_hits", {name: column[order] for name, column in columns.items()}, muons.n_events)
     table = clusters.with_columns(**points, cov_xv=cov, corr_xv=np.zeros(len(clusters)))
@@ -697,16 +697,16 @@ def test_clusters_that_are_not_alone_have_no_correlation(muons: cg.Result) -> No
     rows = np.flatnonzero(first & (hits["view"] == HIT_X))
     twice = clusters.with_columns(event=np.where(clusters["event"] == 1, 0, clusters["event"]))
     of_next = np.flatnonzero((clusters["event"] == 1) & (clusters["view"] == 0))
-    more = of_next[clusters["layer"][of_next] == clusters["layer"][hits["row"][rows[0]]]][:1]
+    more = of_next[clusters["layer"][of_next] == clusters["layer"][hits["hit"][rows[0]]]][:1]
     moved = twice.with_columns(
-        sheet=np.where(np.arange(len(clusters)) == more[0], clusters["sheet"][hits["row"][rows[0]]], clusters["sheet"])
+        sheet=np.where(np.arange(len(clusters)) == more[0], clusters["sheet"][hits["hit"][rows[0]]], clusters["sheet"])
     )
 
     def ks(chosen: npt.NDArray[np.bool_], extra: npt.NDArray[np.int64]) -> int:
-        columns = {name: hits[name][first & chosen] for name in ("event", "candidate", "view", "row")}
+        columns = {name: hits[name][first & chosen] for name in ("event", "candidate", "view", "hit")}
         added = {"event": 0, "candidate": 0, "view": HIT_X}
         columns = {
-            name: np.concatenate([column, extra if name == "row" else np.full(len(extra), added[name], column.dtype)])
+            name: np.concatenate([column, extra if name == "hit" else np.full(len(extra), added[name], column.dtype)])
             for name, column in columns.items()
         }
         candidates = Table(

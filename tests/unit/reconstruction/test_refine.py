@@ -119,7 +119,7 @@ def test_expectation_is_the_middle_of_the_wire(raw):
 def test_times_of_found_tracks_are_those_without_flight_and_propagation(raw, finder):
     found = run(finder=finder)
     assert np.array_equal(found.wire_hits["wire_truth"], raw.wire_hits["wire_truth"])
-    row = found.candidate_hits["row"][found.candidate_hits["view"] == 2]
+    row = found.candidate_hits["hit"][found.candidate_hits["view"] == 2]
     hits, late = found.refined_wire_hits, true_delay(IDC, found.wire_truths)
     time = raw.wire_hits["drift_time"] - late[hits["wire_truth"]]
     off = np.abs(hits["drift_time"] - time)[row]

@@ -553,8 +553,8 @@ def test_the_finder_by_truth_takes_the_first_half_turn():
     result = cg.run("besiii-cgem", Gun("pi-", p=(0.06, 0.11), cos_theta=(-0.5, 0.5)), 40, seed=1, settings=settings)
     hits = result.candidate_hits
     wire = hits["view"] == 2
-    of_wire = result.wire_truths["half_turn"][result.wire_hits["wire_truth"][hits["row"][wire]]]
-    of_cluster = result.truths["half_turn"][result.clusters["truth"][hits["row"][~wire]]]
+    of_wire = result.wire_truths["half_turn"][result.wire_hits["wire_truth"][hits["hit"][wire]]]
+    of_cluster = result.truths["half_turn"][result.clusters["truth"][hits["hit"][~wire]]]
     assert min(len(of_wire), len(of_cluster)) > 100
     assert not of_wire.any()
     assert not of_cluster.any()
@@ -896,8 +896,8 @@ def test_the_truth_finder_ends_at_the_decay():
     result = cg.run(DETECTOR, Gun("K+", p=0.4, cos_theta=(-0.5, 0.5)), 200, seed=3)
     hits = result.candidate_hits
     on_wire = hits["view"] == 2
-    wires = result.wire_hits["wire_truth"][hits["row"][on_wire]]
-    crossings = result.clusters["truth"][hits["row"][~on_wire]]
+    wires = result.wire_hits["wire_truth"][hits["hit"][on_wire]]
+    crossings = result.clusters["truth"][hits["hit"][~on_wire]]
     assert not result.wire_truths["daughter"][wires].any()
     assert not result.truths["daughter"][crossings].any()
     gone = result.particles["status"] == TransportStatus.decayed

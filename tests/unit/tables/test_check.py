@@ -116,7 +116,7 @@ CODES = ("view", "side", "method", "displaced", "decayed", "surface", "used", "p
 #: Numbers that are not negative.
 POSITIVE = ("mass", "err", "sigma", "chi2", "path", "err_x", "err_v", "err_p", "err_dr", "err_mass", "err_kappa")
 #: Links that a function uses lead to rows.
-USED = {("candidate_hits", "row"), ("candidate_hits", "candidate"), ("tracks", "candidate"), ("steps", "truth")}
+USED = {("candidate_hits", "hit"), ("candidate_hits", "candidate"), ("tracks", "candidate"), ("steps", "truth")}
 
 
 def wrong_values(kind: str, column: Column) -> list[Any]:
@@ -186,7 +186,7 @@ def test_residuals_that_are_no_measurements_are_refused() -> None:
 
 LINKS = [
     ("digitize", "steps", "truth"), ("find_tracks", "clusters", "x_cluster"), ("find_tracks", "clusters", "v_cluster"),
-    ("fit", "candidate_hits", "candidate"), ("fit", "candidate_hits", "row"), ("match", "clusters", "truth"),
+    ("fit", "candidate_hits", "candidate"), ("fit", "candidate_hits", "hit"), ("match", "clusters", "truth"),
     ("match", "wire_hits", "wire_truth"), ("match", "tracks", "candidate"), ("by_truth", "clusters", "truth"),
     ("begin_at_vertices", "vertices", "first"), ("begin_at_vertices", "vertices", "second"),
 ]  # fmt: skip

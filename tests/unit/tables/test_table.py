@@ -298,7 +298,7 @@ def chunk(first, n, truth_rows):
     hits = make("wire_hits", [first] * 3, n, first, wire_truth=[-1] * 3)
     tracks = make("tracks", [first], n, first)
     candidates = make("candidates", [first], n, first)
-    found = make("candidate_hits", [first] * 2, n, first, view=[2, 3], row=[1, 0])
+    found = make("candidate_hits", [first] * 2, n, first, view=[2, 3], hit=[1, 0])
     residuals = make("residuals", [first] * 3, n, first, view=[0, 1, 2], hit=[0, -1, 2])
     tables = (truths, make("wire_truths", [], n, first), digis, clusters, hits, candidates, found, tracks, residuals)
     return {table.kind: table for table in tables}
@@ -312,7 +312,7 @@ def test_concatenate_shifts_links():
     assert joined["clusters"]["v_cluster"].tolist() == [-1, -1, -1]
     assert joined["residuals"]["hit"].tolist() == [0, -1, 2, 1, -1, 5, 2, -1, 8]
     assert joined["residuals"]["track"].tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
-    assert joined["candidate_hits"]["row"].tolist() == [1, 0, 4, 1, 7, 2]
+    assert joined["candidate_hits"]["hit"].tolist() == [1, 0, 4, 1, 7, 2]
     assert joined["candidate_hits"]["candidate"].tolist() == [0, 0, 1, 1, 2, 2]
     assert (joined["digis"].first_event, joined["digis"].n_events) == (0, 6)
     assert joined["digis"].meta == {"seed": 1}

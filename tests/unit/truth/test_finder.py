@@ -65,7 +65,7 @@ def hits_of(found, i):
     hits = found["candidate_hits"]
     mine = hits["candidate"] == i
     assert (hits["event"][mine] == found["candidates"]["event"][i]).all()
-    return set(zip(hits["view"][mine].tolist(), hits["row"][mine].tolist(), strict=True))
+    return set(zip(hits["view"][mine].tolist(), hits["hit"][mine].tolist(), strict=True))
 
 
 def counts_of(found):
@@ -151,12 +151,12 @@ def test_measurements_are_those_of_the_rows(chain):
         chosen = hits.kind == kind
         assert chosen.any()
         for name, column in names.items():
-            np.testing.assert_array_equal(getattr(hits, name)[chosen], chain[table][column][hits.row[chosen]])
+            np.testing.assert_array_equal(getattr(hits, name)[chosen], chain[table][column][hits.hit[chosen]])
     assert not np.isnan(hits.value).any()
     assert set(hits.size[hits.kind == HIT_WIRE]) == {0}
     assert set(hits.side[hits.kind != HIT_WIRE]) == {0}
     expected = {"kind": "u1", "layer": "i4", "channel": "i4", "value": "f8", "sigma": "f8", "size": "i4", "side": "i1"}
-    assert all(getattr(hits, name).dtype == dtype for name, dtype in (expected | {"row": "i8"}).items())
+    assert all(getattr(hits, name).dtype == dtype for name, dtype in (expected | {"hit": "i8"}).items())
 
 
 def test_later_events_count_from_the_first(chain):

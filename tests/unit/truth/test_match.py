@@ -47,7 +47,7 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
     wires["layer"] = random.integers(0, 9, 200).astype("i4")
     view = random.choice([0, 1, WIRE, WIRE, POINT], 300).astype("i1")
     row = np.where(view == WIRE, random.integers(0, 200, 300), random.integers(0, 120, 300))
-    hits = {"event": np.zeros(300, int), "candidate": random.integers(0, 40, 300), "view": view, "row": row}
+    hits = {"event": np.zeros(300, int), "candidate": random.integers(0, 40, 300), "view": view, "hit": row}
     tables = {"particles": particles, "truths": truths, "wire_truths": cells, "clusters": clusters, "wire_hits": wires}
     found = _core.truth.match_hits(**tables, candidate_hits=hits, candidates=40)
 
@@ -126,7 +126,7 @@ def test_counts_are_those_of_a_loop(seed: int) -> None:
             if owner >= 0 and first and candidates[owner] >= 0:
                 expected.append((candidates[owner], wire, table["layer"][i], i, kind[i]))
     expected.sort(key=lambda one: one[:3])  # stable
-    assert list(zip(*(given[name].tolist() for name in ("candidate", "row", "view")), strict=True)) == [
+    assert list(zip(*(given[name].tolist() for name in ("candidate", "hit", "view")), strict=True)) == [
         (candidate, i, kind) for candidate, _, _, i, kind in expected
     ]
 
@@ -141,9 +141,9 @@ def test_links_beyond_their_tables_are_refused() -> None:
         "x_cluster": np.zeros(1, int),
     }
     wires = {"event": np.zeros(1, int), "wire_truth": np.zeros(1, int)}
-    hits = {"event": np.zeros(1, int), "candidate": np.zeros(1, int), "view": np.zeros(1, "i1"), "row": np.ones(1, int)}
+    hits = {"event": np.zeros(1, int), "candidate": np.zeros(1, int), "view": np.zeros(1, "i1"), "hit": np.ones(1, int)}
     tables = {"particles": one, "truths": crossing, "wire_truths": crossing, "wire_hits": wires, "candidate_hits": hits}
     with pytest.raises(ValueError, match="truth 0: got 1"):
         _core.truth.match_hits(**tables, clusters=clusters, candidates=1)
-    with pytest.raises(ValueError, match="row: got 1"):
+    with pytest.raises(ValueError, match="hit: got 1"):
         _core.truth.match_hits(**tables, clusters=clusters | {"truth": np.zeros(1, int)}, candidates=1)

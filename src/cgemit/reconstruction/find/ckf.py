@@ -315,7 +315,7 @@ def find_tracks(
         core.in_field(math.copysign(_FIELD, detector.field.bz)) if weak else core, event_offsets=offsets, hits=hits,
         settings=_core_settings(settings, fit, weak), pairs=_pairs(detector, clusters, number, points),
     )  # fmt: skip
-    return _tables(found, clusters, view[order], hits["row"], points, settings)
+    return _tables(found, clusters, view[order], hits["hit"], points, settings)
 
 
 #: T. A weaker field does not tell the momentum of a track. The finder then scales it to the other one: the tracks are
@@ -392,7 +392,7 @@ def _measurements(
         "size": both(size[strips], np.zeros(n), "i4"),
         "value": both(np.concatenate([clusters["x"][x], clusters["v"][v]]), wire_hits["drift"], "f8"),
         "sigma": both(np.concatenate([clusters["err_x"][x], clusters["err_v"][v]]), wire_hits["sigma"], "f8"),
-        "row": both(strips, np.arange(n), "i8"),
+        "hit": both(strips, np.arange(n), "i8"),
     }
     view = both(np.where(points[strips], HIT_XV, kind), np.full(n, HIT_WIRE), "i1")
     event = both(clusters["event"][strips], wire_hits["event"], "i8")
@@ -468,7 +468,7 @@ def _tables(
     view, row = view[found["hits"]], row[found["hits"]]
     row[of_points] = _rejoined(candidate[of_points], found["hits"][of_points], points, measurements)
     once = row >= 0
-    hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "row": row[once]}
+    hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "hit": row[once]}
     about = clusters.cover | {"meta": {"finder": "ckf", "hypothesis": hypothesis_name(kind.pdg)}}
     return {
         "candidates": Table("candidates", candidates, **about),

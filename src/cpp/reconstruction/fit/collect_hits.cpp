@@ -44,7 +44,7 @@ class Collector {
     for (std::size_t i = 0; i + 1 < first_.size(); ++i) collect(i);
     if (!problems_.empty()) {
       const HitView view{hits_.kind,  hits_.layer, hits_.channel, hits_.size, hits_.value,
-                         hits_.sigma, hits_.k,     hits_.x,       hits_.side, hits_.row};
+                         hits_.sigma, hits_.k,     hits_.x,       hits_.side, hits_.hit};
       add_problems(rules_, view, problems_);
       problems_.raise("hits of candidates");
     }
@@ -82,7 +82,7 @@ class Collector {
     hits_.side.resize(room);
     for (auto* values : {&hits_.layer, &hits_.channel, &hits_.size}) values->resize(room);
     for (auto* values : {&hits_.value, &hits_.sigma, &hits_.k, &hits_.x}) values->resize(room);
-    hits_.row.resize(room);
+    hits_.hit.resize(room);
   }
 
   void collect(std::size_t candidate) {
@@ -101,7 +101,7 @@ class Collector {
       hits_.sigma[i] = entry.sigma;
       hits_.k[i] = entry.k;
       hits_.x[i] = entry.x;
-      hits_.row[i] = entry.row;
+      hits_.hit[i] = entry.row;
       ++i;
     }
   }
@@ -115,7 +115,7 @@ class Collector {
     const std::int8_t view = candidates_.view[i];
     if (view < 0 || view > point_view) return false;
     const auto candidate = static_cast<std::size_t>(candidates_.candidate[i]),
-               row = static_cast<std::size_t>(candidates_.row[i]);  // negative: beyond any size
+               row = static_cast<std::size_t>(candidates_.hit[i]);  // negative: beyond any size
     const auto table = events(view);
     if (candidate >= candidates_.event.size() || row >= table.size()) return false;
     const std::int64_t event = candidates_.event[candidate];
@@ -126,7 +126,7 @@ class Collector {
 
   void explain(std::size_t i) {
     const std::int8_t view = candidates_.view[i];
-    const std::int64_t candidate = candidates_.candidate[i], row = candidates_.row[i];
+    const std::int64_t candidate = candidates_.candidate[i], row = candidates_.hit[i];
     const auto add = [&](const std::string& name, std::int64_t got, const std::string& expected) {
       problems_.add("candidate_hits row " + std::to_string(i) + ": " + name + ": got " + std::to_string(got) +
                     ", expected " + expected);
@@ -138,7 +138,7 @@ class Collector {
     const auto table = events(view);
     const std::string name = view == wire_view ? "wire_hits" : "clusters";
     if (static_cast<std::size_t>(row) >= table.size())
-      return add("row", row, below(table.size()) + ", rows of " + name);
+      return add("hit", row, below(table.size()) + ", rows of " + name);
     const auto at = static_cast<std::size_t>(row);
     if (view != wire_view && clusters_.view[at] != std::min(view, static_cast<std::int8_t>(2)))
       add("view", view,
@@ -155,7 +155,7 @@ class Collector {
 
   void add(std::size_t i) {
     const std::int8_t view = candidates_.view[i];
-    const std::int64_t number = candidates_.row[i];
+    const std::int64_t number = candidates_.hit[i];
     const auto row = static_cast<std::size_t>(number);
     const auto put = [&](Entry entry) {
       entry.surface = rules_.surface(entry.kind, entry.layer);

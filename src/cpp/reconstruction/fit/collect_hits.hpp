@@ -16,7 +16,7 @@ struct CandidateInput {
   std::span<const std::int64_t> event;           // of each candidate
   std::span<const double> mass;                  // GeV, likewise
   std::span<const std::int64_t> hit_event;       // of each hit, and the following
-  std::span<const std::int64_t> candidate, row;  // which candidate, which row of the hit's table
+  std::span<const std::int64_t> candidate, hit;  // which candidate, which row of the hit's table
   std::span<const std::int8_t> view;             // 0 X, 1 V, 2 wire, 3 XV cluster
 };
 
@@ -63,14 +63,14 @@ struct CollectedHits {
   std::vector<std::int32_t> layer, channel, size;
   std::vector<double> value, sigma, k, x;
   std::vector<std::int8_t> side;
-  std::vector<std::int64_t> row;
+  std::vector<std::int64_t> hit;  // rows of their tables
 
   static constexpr auto columns() {
     return std::tuple(Column("hit_offsets", &CollectedHits::offsets), Column("kind", &CollectedHits::kind),
                       Column("layer", &CollectedHits::layer), Column("channel", &CollectedHits::channel),
                       Column("value", &CollectedHits::value), Column("sigma", &CollectedHits::sigma),
                       Column("size", &CollectedHits::size), Column("side", &CollectedHits::side),
-                      Column("row", &CollectedHits::row), Column("k", &CollectedHits::k),
+                      Column("hit", &CollectedHits::hit), Column("k", &CollectedHits::k),
                       Column("x", &CollectedHits::x));
   }
 };

@@ -5,9 +5,9 @@ namespace cgemit {
 namespace {
 
 std::string where(const HitView& hits, std::size_t i) {
-  if (hits.row.empty()) return "hit " + std::to_string(i);
+  if (hits.hit.empty()) return "hit " + std::to_string(i);
   const bool wire = hits.kind[i] == static_cast<std::uint8_t>(View::wire);
-  return (wire ? "wire_hits row " : "clusters row ") + std::to_string(hits.row[i]);
+  return (wire ? "wire_hits row " : "clusters row ") + std::to_string(hits.hit[i]);
 }
 
 Hit hit_of(const HitRules& rules, const HitView& hits, std::size_t i) {

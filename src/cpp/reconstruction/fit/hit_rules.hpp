@@ -21,7 +21,7 @@ struct HitView {
   std::span<const std::int32_t> channel, size;  // as in Hit
   std::span<const double> value, sigma, k, x;   // as in Hit; k and x may be empty
   std::span<const std::int8_t> side;            // of the wire; 0: unknown
-  std::span<const std::int64_t> row;            // of its table, for messages; may be empty
+  std::span<const std::int64_t> hit;            // row of its table, for messages; may be empty
 
   static constexpr auto columns() {
     return std::tuple(Column("kind", &HitView::kind), Column("layer", &HitView::layer),
@@ -31,7 +31,7 @@ struct HitView {
 
   static constexpr auto optional() {
     return std::tuple(Column("k", &HitView::k), Column("x", &HitView::x), Column("side", &HitView::side),
-                      Column("row", &HitView::row));
+                      Column("hit", &HitView::hit));
   }
 };
 

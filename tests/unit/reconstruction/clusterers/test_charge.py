@@ -217,7 +217,7 @@ def test_finder_takes_the_pair_that_fits():
 
     def share_of_second(table):
         hits = find_tracks(DESIGN, table, result.wire_hits)["candidate_hits"]
-        rows = hits["row"][hits["view"] == 1]
+        rows = hits["hit"][hits["view"] == 1]
         assert len(rows) > 60
         return np.mean(of_second[rows])
 

@@ -36,7 +36,7 @@ def hits_of(found):
     """The hits of each candidate, as a set of (event, hits)."""
     hits, events = found["candidate_hits"], found["candidates"]["event"]
     sets = [set() for _ in events]
-    for candidate, view, row in zip(hits["candidate"], hits["view"], hits["row"], strict=True):
+    for candidate, view, row in zip(hits["candidate"], hits["view"], hits["hit"], strict=True):
         sets[candidate].add((int(view), int(row)))
     return {(int(event), frozenset(rows)) for event, rows in zip(events, sets, strict=True)}
 
@@ -102,9 +102,9 @@ def test_the_order_of_hits_does_not_matter(run):
     found = cg.find_tracks(run.detector, clusters, wires)
     hits = found["candidate_hits"]
     wire = hits["view"] == HIT_WIRE
-    row = np.where(wire, np.append(of_wire, 0)[np.where(wire, hits["row"], -1)], 0)
-    row[~wire] = of_cluster[hits["row"][~wire]]
-    found["candidate_hits"] = hits.with_columns(row=row)
+    row = np.where(wire, np.append(of_wire, 0)[np.where(wire, hits["hit"], -1)], 0)
+    row[~wire] = of_cluster[hits["hit"][~wire]]
+    found["candidate_hits"] = hits.with_columns(hit=row)
     straight = cg.find_tracks(run.detector, single, run.wire_hits)
     assert found["candidates"] == straight["candidates"]
     assert hits_of(found) == hits_of(straight)
@@ -210,7 +210,7 @@ def own_points(run, clusters, found):
     """The hits of each track, clusters and points by layer, X and V; those on wires by row."""
     hits, x, v = found["candidate_hits"], clusters["x"], clusters["v"]
     tracks = [set() for _ in found["candidates"]["event"]]
-    for candidate, view, row in zip(hits["candidate"], hits["view"], hits["row"], strict=True):
+    for candidate, view, row in zip(hits["candidate"], hits["view"], hits["hit"], strict=True):
         if view == HIT_WIRE:
             tracks[candidate].add((HIT_WIRE, int(row)))
             continue
@@ -261,8 +261,8 @@ def test_clusters_given_twice_are_one(busy):
     twice = np.repeat(np.arange(len(single)), 2)
     once, doubled = (cg.find_tracks(busy.detector, c, busy.wire_hits) for c in (single, single[twice]))
     hits = doubled["candidate_hits"]
-    row = np.where(hits["view"] == HIT_WIRE, hits["row"], hits["row"] // 2)
-    doubled["candidate_hits"] = hits.with_columns(row=row)
+    row = np.where(hits["view"] == HIT_WIRE, hits["hit"], hits["hit"] // 2)
+    doubled["candidate_hits"] = hits.with_columns(hit=row)
     assert hits_of(doubled) == hits_of(once)
 
 
@@ -297,7 +297,7 @@ def test_wire_hits_are_of_one_track_where_a_third_of_all_cells_fire(name):
         run = cg.run(name, nothing, n=2, settings=settings, until="cluster")
         found = cg.find_tracks(run.detector, run.clusters, run.wire_hits)
         hits = found["candidate_hits"]
-        on_wires = hits["row"][hits["view"] == HIT_WIRE]
+        on_wires = hits["hit"][hits["view"] == HIT_WIRE]
         assert len(np.unique(on_wires)) == len(on_wires)
 
 
@@ -417,7 +417,7 @@ def test_of_lines_in_z_the_one_from_the_origin_is_likelier(name):
     clusters = Table("clusters", {name: column[order] for name, column in both.items()}, **near.clusters.cover)
     found = cg.find_tracks(layers, clusters, near.wire_hits)
     first = found["candidates"]["candidate"][found["candidate_hits"]["candidate"]] == 0
-    rows = found["candidate_hits"]["row"][first & (found["candidate_hits"]["view"] == 1)]
+    rows = found["candidate_hits"]["hit"][first & (found["candidate_hits"]["view"] == 1)]
     assert len(rows) > 100
     assert np.mean(clusters["truth"][rows] >= 0) > 0.97
 
@@ -895,7 +895,7 @@ def views_in(run, layer):
     """Candidates with an X in a layer, and with a V, as sets; the perfect finder's with all."""
     hits, clusters = run.candidate_hits, run.clusters
     strips = hits["view"] < 2
-    here = strips & (clusters["layer"][np.where(strips, hits["row"], 0)] == layer)
+    here = strips & (clusters["layer"][np.where(strips, hits["hit"], 0)] == layer)
     return [set(hits["candidate"][here & (hits["view"] == view)].tolist()) for view in (HIT_X, HIT_V)]
 
 
@@ -938,7 +938,7 @@ def test_a_track_through_the_gap_at_a_seam():
     finding = cg.study.finding(result)
     assert finding.found()[np.isin(result.particles["event"], lost)].all()
     assert (finding.purity, finding.rates().fakes.count, finding.rates().clones.count) == (1, 0, 0)
-    layers = clusters["layer"][result.candidate_hits["row"][result.candidate_hits["view"] < 2]]
+    layers = clusters["layer"][result.candidate_hits["hit"][result.candidate_hits["view"] < 2]]
     events = result.candidates["event"][result.candidate_hits["candidate"][result.candidate_hits["view"] < 2]]
     for event in lost:  # the seams of the other layers are near: some tracks miss one of them, too
         left = set(clusters["layer"][clusters["event"] == event])
@@ -1013,7 +1013,7 @@ def test_a_height_moved_by_more_than_a_line_allows_is_left_out(layers, single):
     moved = single.with_columns(v=single["v"] + np.where(on(single, 1, HIT_V), 15.0, 0.0))
     found = find(layers, moved)
     assert (sizes(found)[:, 0] == 5).mean() > 0.9
-    assert not on(moved[found["candidate_hits"]["row"]], 1, HIT_V).any()
+    assert not on(moved[found["candidate_hits"]["hit"]], 1, HIT_V).any()
 
 
 def test_a_cluster_moved_by_a_delta_electron_stays(layers, single):
@@ -1030,7 +1030,7 @@ def test_of_two_clusters_in_a_view_the_one_on_the_line_is_taken(layers, single):
     hits = sizes(found)
     assert (hits[:, 0] == 6).mean() > 0.97
     assert not hits[:, 1:].any()
-    rows = found["candidate_hits"]["row"]
+    rows = found["candidate_hits"]["hit"]
     assert np.mean(clusters["truth"][rows] >= 0) > 0.97
 
 
@@ -1134,7 +1134,7 @@ def test_the_order_of_clusters_does_not_matter(layers, single):
     order = np.lexsort((random.random(len(single)), single["event"]))
     straight, mixed = find(layers, single), find(layers, single[order])
     assert straight["candidates"] == mixed["candidates"]
-    assert np.array_equal(straight["candidate_hits"]["row"], order[mixed["candidate_hits"]["row"]])
+    assert np.array_equal(straight["candidate_hits"]["hit"], order[mixed["candidate_hits"]["hit"]])
 
 
 def test_seeds_may_leave_out_a_layer():

@@ -208,7 +208,7 @@ def owners(run, wire_hits, rows, **settings):
     hits = found["candidate_hits"]
     on = hits["view"] == HIT_WIRE
     candidate = np.full(len(wire_hits), -1)
-    candidate[hits["row"][on]] = hits["candidate"][on]
+    candidate[hits["hit"][on]] = hits["candidate"][on]
     particle = run.wire_truths["particle"][wire_hits["wire_truth"]] % 2
     number = np.full(len(found["candidates"]) + 1, -1)
     for i in range(len(found["candidates"])):
@@ -246,7 +246,7 @@ def test_annealing_moves_hits_and_nothing_else(crossing):
     moved, stayed = (cg.find_tracks(*tables, cg.FindSettings(annealing=on)) for on in (True, False))
     assert moved["candidates"] == stayed["candidates"]
     hits = [
-        sorted(zip(*(found["candidate_hits"][name] for name in ("view", "row")), strict=True))
+        sorted(zip(*(found["candidate_hits"][name] for name in ("view", "hit")), strict=True))
         for found in (moved, stayed)
     ]
     assert hits[0] == hits[1]
