@@ -82,7 +82,7 @@ def test_start_times_in_noise(measured):
 
 
 def test_points_in_noise(measured):
-    """Points against the strips that the muon fired: 1 % of 356 V clusters is exceeded once in 10^4 if 0.05 % are wrong."""
+    """Strips that the muon fired: 1 % of 356 V clusters is exceeded once in 10^4 if 0.05 % are wrong."""
     run, _, events, found = measured
     digis = run.digis[run.digis["truth"] >= 0]
     fired = set(zip(*(digis[name].tolist() for name in ("event", "layer", "sheet", "view", "strip")), strict=True))

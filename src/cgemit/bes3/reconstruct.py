@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -165,6 +165,27 @@ def point_offsets(events: Bes3Events, result: Result) -> list[PointOffset]:
         numbers = (float(mean[0]), float(error[0]), float(mean[1]), float(error[1]))
         found.append(PointOffset(layer.label, n, *numbers))
     return found
+
+
+def aligned_layers(detector: Detector, offsets: Sequence[PointOffset]) -> Detector:
+    """Return the detector with each CGEM layer turned and shifted along the beam, so that its points lie on the tracks.
+
+    Offsets are those of the nearest clusters; where layers are off by millimetres, reconstruct again and repeat.
+
+    Parameters
+    ----------
+    detector : Detector
+        That the offsets were found with.
+    offsets : sequence of PointOffset
+        Layers with fewer than two tracks stay.
+    """
+    changes = {}
+    for one in offsets:
+        if one.n > 1:
+            layer = detector.cgem[one.label]
+            changes[f"cgem.{one.label}.rotation"] = f"{layer.rotation - one.x / layer.r_readout:.6g} rad"
+            changes[f"cgem.{one.label}.shift_z"] = f"{layer.shift_z - one.z:.6g} mm"
+    return detector.with_overrides(changes)
 
 
 def numbered_tables(events: Bes3Events, result: Result) -> dict[str, dict[str, npt.NDArray[Any]]]:

@@ -26,6 +26,7 @@ EXAMPLES = """\
 examples:
   cgemit align run cosmics --free 'cgem.*' -o aligned
   cgemit align run --free 'cgem.*' --free drift_chamber --prior 'drift_chamber=10 um' --fix 'drift_chamber.tilt_*'
+  cgemit align jpsi --free field.scale --pairs mass --mass 3.0969
   cgemit align --forecast -d besiii-cgem --muons 10000 --cosmics 10000"""
 
 
@@ -45,9 +46,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--plates", type=_numbers, default=(), metavar="N,N", help="wire layers of each pair of end plates, from inside"
     )
     parser.add_argument(
-        "--pairs", action="append", metavar="WHAT", choices=("cosmic", "vertex", "beam_line", "none"),
-        help="what tracks of an event share (default cosmic): cosmic, vertex, beam_line, none; may repeat",
+        "--pairs", action="append", metavar="WHAT", choices=("cosmic", "vertex", "beam_line", "mass", "none"),
+        help="what tracks of an event share (default cosmic): cosmic, vertex, beam_line, mass, none; may repeat",
     )  # fmt: skip
+    parser.add_argument(
+        "--mass", type=options.number, metavar="MASS",
+        help="of two tracks that are alone in their event, GeV/c2; with --pairs mass",
+    )  # fmt: skip
+    parser.add_argument(
+        "--mass-width", type=options.number, default=0.0, metavar="WIDTH", help="of the true masses, GeV/c2 (default 0)"
+    )
     parser.add_argument("--mille", metavar="FILE", help="also write records for pede")
     parser.add_argument(
         "--prior", action="append", default=[], metavar="PATTERN=ERROR", help="survey, 'cgem.*.shift_z=100 um'"
@@ -82,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = AlignmentSettings(
         free=tuple(arguments.free or ("cgem.*",)), fixed=tuple(arguments.fix), calibrate=tuple(arguments.calibrate),
         priors=tuple(arguments.prior), zero_modes=arguments.zero_modes, plates=arguments.plates,
-        pairs=pairs,
+        pairs=pairs, mass=arguments.mass, mass_width=arguments.mass_width,
     )  # fmt: skip
     found: Alignment | AlignmentForecast
     if arguments.forecast:

@@ -69,6 +69,11 @@ def momentum(text: str) -> float:
     return _one_value(text, "momentum")
 
 
+def number(text: str) -> float:
+    """Read a number without a unit."""
+    return _one_value(text, "dimensionless")
+
+
 def triple(text: str) -> tuple[Values, Values, Values]:
     """Read lengths along x, y and z, ``X,Y,Z``; each may be a range ``A:B``."""
     from cgemit.base.validate import Axes

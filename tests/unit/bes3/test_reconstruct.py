@@ -13,7 +13,13 @@ import bes3_layout
 import cgemit as cg
 from cgemit.bes3 import events as bes3_events
 from cgemit.bes3.events import events_of, read_events
-from cgemit.bes3.reconstruct import numbered_tables, point_offsets, reconstruct_events, save_numbered
+from cgemit.bes3.reconstruct import (
+    aligned_layers,
+    numbered_tables,
+    point_offsets,
+    reconstruct_events,
+    save_numbered,
+)
 from cgemit.cli.main import main
 from cgemit.reconstruction.refine import StartTimeStatus
 from stats import assert_within
@@ -109,6 +115,10 @@ def test_layers_that_are_not_where_they_should_be(arrays):
     assert abs(moved["L2"].x - nominal["L2"].x + 6e-3 * radius) < 0.05
     assert abs(moved["L3"].z - nominal["L3"].z - 1.5) < 0.2
     assert abs(moved["L1"].x - nominal["L1"].x) < 0.05
+    back = aligned_layers(other, list(moved.values()))
+    assert abs(back.cgem["L2"].rotation) < 4 * moved["L2"].err_x / radius
+    assert abs(back.cgem["L3"].shift_z) < 4 * moved["L3"].err_z
+    assert other.cgem["L3"].shift_z == 1.5
 
 
 def test_events_without_strips_or_start(arrays):

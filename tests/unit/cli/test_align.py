@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,26 @@ def test_a_run_is_aligned(folder: Path, tmp_path: Path, capsys: pytest.CaptureFi
     aligned = cg.load(out / "detector.toml")
     again = NOMINAL.with_alignment(out / "alignment.csv")
     assert aligned.cgem["L2"].shift_x == pytest.approx(again.cgem["L2"].shift_x, rel=1e-9)
+
+
+def test_pairs_of_known_mass_tell_the_momentum_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """J/psi to two muons at rest; the description has a field that is 0.5 % too weak."""
+    p = (3.0969**2 / 4 - 0.1056584**2) ** 0.5
+    back = {"event": [0, 0] * 40, "pdg": [13, -13] * 40, "px": [p, -p] * 40, "py": [0.0] * 80, "pz": [0.0] * 80}
+    angle = [0.15 * (i // 2) for i in range(80)]
+    back["event"] = [i // 2 for i in range(80)]
+    back["px"], back["py"] = (
+        [x * of(a) for x, a in zip(back["px"], angle, strict=True)] for of in (math.cos, math.sin)
+    )
+    settings = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian"))
+    wrong = NOMINAL.with_alignment({"field.scale": -5e-3})
+    cg.run(NOMINAL, back, seed=6, fit_detector=wrong, settings=settings).save(tmp_path / "jpsi")
+    line = ["align", str(tmp_path / "jpsi"), "--free", "field.scale", "--pairs", "mass", "--json"]
+    assert main([*line, "--mass", "3.0969"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["constants"]
+    assert abs(found["value"] - 5e-3) < 4 * found["err"] < 5e-3
+    assert main(line) == 2
+    assert "mass: got None" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("undrawn")
