@@ -10,6 +10,7 @@ from cgemit.draw.display import event, event_3d, save_page
 from cgemit.draw.monitor import (
     draw_efficiencies,
     draw_hit_residuals,
+    draw_layer_maps,
     draw_residual_profiles,
     draw_strip_signals,
     draw_strips,
@@ -32,6 +33,7 @@ __all__ = [
     "draw_finding",
     "draw_formation",
     "draw_hit_residuals",
+    "draw_layer_maps",
     "draw_maps",
     "draw_material",
     "draw_modes",

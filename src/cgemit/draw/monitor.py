@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from cgemit.analysis.hits import VIEWS, HitResiduals, LayerEfficiencies, strip_status
+from cgemit.analysis.hits import VIEWS, HitResiduals, LayerCrossings, LayerEfficiencies, strip_status
 from cgemit.base.arrays import Floats
 from cgemit.detector import Detector
 from cgemit.detector.core import layer_table
@@ -287,6 +287,58 @@ def draw_efficiencies(found: LayerEfficiencies) -> Picture:
         plot.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         grid(plot)
         picture.subplots_adjust(left=0.08, right=0.99, top=0.91, bottom=0.24)
+    return picture
+
+
+#: Bins of maps in azimuth and along the beam, and hits that a mean needs.
+_MAP, _LEAST = (12, 8), 2
+
+
+def draw_layer_maps(crossings: LayerCrossings, hits: HitResiduals) -> Picture:
+    """Draw maps of the CGEM layers in azimuth and z: share of tracks with X and V, and mean residuals of X and V.
+
+    Parameters
+    ----------
+    crossings : LayerCrossings
+    hits : HitResiduals
+        A mean needs two hits; bins with fewer are empty.
+
+    Returns
+    -------
+    Picture
+
+    Examples
+    --------
+    >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
+    >>> crossings = cg.study.layer_crossings(r)
+    >>> cg.draw.draw_layer_maps(crossings, cg.study.hit_residuals(r)).axes[0].get_title()
+    'L1: X and V (%)'
+    """
+    labels = crossings.labels
+    with style():
+        picture, axes = new_picture(3, len(labels), (3.9 * len(labels), 8.4))
+        for column, (number, label) in enumerate(labels.items()):
+            mine = crossings.select(crossings.layer == number)
+            of_layer = hits.select((hits.layer == number) & (hits.view < 2) & hits.counts)
+            most = max(np.abs([*mine.z, *of_layer.z]).max(initial=1.0), 1.0)
+            edges = (np.linspace(-np.pi, np.pi, _MAP[0] + 1), np.linspace(-most, most, _MAP[1] + 1))
+            shown = [(f"{label}: X and V (%)", mine.phi, mine.z, 100.0 * (mine.has_x & mine.has_v), 1)]
+            for view in (0, 1):
+                own = of_layer.select(of_layer.view == view)
+                shown.append((f"{label}: mean residual {VIEWS[view]} (um)", own.phi, own.z, 1e3 * own.residual, _LEAST))
+            for row, (title, phi, z, value, least) in enumerate(shown):
+                plot = axes[row * len(labels) + column]
+                counts = np.histogram2d(phi, z, edges)[0]
+                sums = np.histogram2d(phi, z, edges, weights=value)[0]
+                mean = np.where(counts >= least, sums / np.maximum(counts, 1), np.nan)
+                limit = float(np.nanmax(np.abs(mean))) if np.isfinite(mean).any() else 1.0
+                look: dict[str, Any] = {"cmap": "viridis", "vmin": 0, "vmax": 100}
+                if row:
+                    look = {"cmap": "coolwarm", "vmin": -limit, "vmax": limit}
+                picture.colorbar(plot.pcolormesh(*edges, mean.T, **look), ax=plot, label="um" if row else "%")
+                plot.set(title=title, xlabel="azimuth (rad)", ylabel="z (mm)")
+                statistics_box(plot, [f"{len(phi)} {'hits' if row else 'tracks'}"])
+        picture.subplots_adjust(left=0.06, right=0.98, top=0.96, bottom=0.07, hspace=0.42, wspace=0.32)
     return picture
 
 

@@ -17,6 +17,7 @@ from cgemit.detector.layers.layer import Layer, local_v
 from cgemit.detector.parts import cgem_numbers
 from cgemit.helix import wrap_angle
 from cgemit.reconstruction.fit import FitSettings, fit
+from cgemit.reconstruction.refine import MOST_CHI2
 from cgemit.reconstruction.states import crossings_of
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER, is_fitted
@@ -43,9 +44,10 @@ def settle_points(
 ) -> dict[str, Table]:
     """Let the X and V clusters of each CGEM layer compete for the tracks that cross it.
 
-    A track is fitted without the clusters of the layer. Each X and V of the sheet that it crosses, alone or as a pair,
-    and none, is a choice; the likeliest one counts. A cluster that another track has taken, with a larger gain, is less
-    likely. Other layers follow with the new clusters, until no choice changes.
+    A track is fitted without the clusters of the layer; one with a bad chi-square keeps its clusters. Each X and V of
+    the sheet that it crosses, alone or as a pair, and none, is a choice; the likeliest one counts. A cluster that
+    another track has taken, with a larger gain, is less likely. Other layers follow with the new clusters, until no
+    choice changes.
 
     Parameters
     ----------
@@ -107,6 +109,7 @@ def _settled_layer(
     )
     # Fewer hits have a smaller chi-square, unless the sides of the wires are those of another track.
     same = ~is_fitted(whole) | (tracks["chi2"] <= whole["chi2"] + WORSE)
+    same &= tracks["chi2"] <= MOST_CHI2 * tracks["ndf"]  # others tell no crossing
     known = np.flatnonzero(is_fitted(tracks) & np.isfinite(tracks["cov"]).all(axis=(1, 2)) & same)
     at = crossings_of(detector, tracks[known], number)
     layer, choices = detector.layers[number], dict[int, list[_Choice]]()

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cgemit.analysis.hits import HitResiduals, LayerEfficiencies, hit_residuals, layer_efficiencies, strip_status
+from cgemit.analysis.hits import (
+    HitResiduals,
+    LayerCrossings,
+    LayerEfficiencies,
+    hit_residuals,
+    layer_crossings,
+    strip_status,
+)
 from cgemit.base.arrays import Floats
 from cgemit.calibration.clusters import LorentzAngles, lorentz_angles
 from cgemit.chain.result import Result
@@ -39,13 +46,18 @@ class RunMonitor:
     counts : dict of str to int
         Events, events with a start time, strips, strips outside of the drift time, clusters by view, wire hits, tracks
         that are fitted, and those with clusters.
+    channels : list of dict
+        Hot and dead strips: ``layer``, ``sheet``, ``view``, ``strip``, ``gid``, ``status`` (1 hot, -1 dead), ``fired``
+        (events).
     strips : list of dict
         For each CGEM layer and view: ``layer``, ``view``, ``channels``, ``fired``, ``per_event``, ``negative``,
         ``saturated``, ``hot``, ``dead``.
     arrival, longest : ndarray, (digis,) float64, ns
         Times of strips after the first electrons; NaN where they are not known.
     residuals : HitResiduals
+    crossings : LayerCrossings
     efficiencies : LayerEfficiencies
+        Of the regions of `crossings`.
     angles : LorentzAngles or None
         None without a readout that measures time.
 
@@ -59,10 +71,12 @@ class RunMonitor:
 
     result: Result
     counts: dict[str, int]
+    channels: list[dict[str, Any]]
     strips: list[dict[str, Any]]
     arrival: Floats
     longest: Floats
     residuals: HitResiduals
+    crossings: LayerCrossings
     efficiencies: LayerEfficiencies
     angles: LorentzAngles | None
 
@@ -71,6 +85,7 @@ class RunMonitor:
         from cgemit.draw.monitor import (
             draw_efficiencies,
             draw_hit_residuals,
+            draw_layer_maps,
             draw_residual_profiles,
             draw_strip_signals,
             draw_strips,
@@ -87,6 +102,8 @@ class RunMonitor:
             yield "profiles", "Residuals and pulls of clusters", draw_residual_profiles(self.residuals)
         if self.efficiencies.tracks.any():
             yield "efficiencies", "Efficiencies", draw_efficiencies(self.efficiencies)
+        if len(self.crossings):
+            yield "maps", "Maps of layers", draw_layer_maps(self.crossings, self.residuals)
         tracks = self.result.tracks[is_fitted(self.result.tracks)]
         if len(tracks):
             yield "tracks", "Tracks", draw_tracks(tracks)
@@ -96,7 +113,11 @@ class RunMonitor:
         tables: dict[str, Tabular] = {"efficiencies": self.efficiencies, "residuals": self.residuals.binned("layer")}
         if self.angles is not None:
             tables["lorentz_angles"] = self.angles
-        found: dict[str, Any] = {"counts": self.counts, "strips": self.strips}
+        if len(self.crossings):
+            tables |= {
+                f"efficiencies_by_{name}": self.crossings.binned(name) for name in ("z", "phi", "incidence", "event")
+            }
+        found: dict[str, Any] = {"counts": self.counts, "strips": self.strips, "channels": self.channels}
         for name, table in tables.items():
             columns = table.columns()
             rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -112,9 +133,22 @@ class RunMonitor:
         ]  # fmt: skip
         return "strips", head, rows
 
+    def _of_channels(self) -> tuple[str, list[str], list[list[str]]]:
+        head = ["layer", "sheet", "view", "strip", "gid", "status", "events fired"]
+        kinds = {1: "hot", -1: "dead"}
+        rows = [
+            [one["layer"], str(one["sheet"]), one["view"], str(one["strip"]), str(one["gid"]), kinds[one["status"]],
+             str(one["fired"])]
+            for one in self.channels
+        ]  # fmt: skip
+        return "hot and dead strips", head, rows
+
     def __repr__(self) -> str:
         counts = ["counts", *(f"  {name.replace('_', ' ')}: {value}" for name, value in self.counts.items())]
-        parts = ["\n".join(counts), text_table(*self._of_strips()), repr(self.efficiencies)]
+        parts = ["\n".join(counts), text_table(*self._of_strips())]
+        if self.channels:
+            parts.append(text_table(*self._of_channels()))
+        parts.append(repr(self.efficiencies))
         parts.append(repr(self.residuals.select(self.residuals.view < 2)))
         if self.angles is not None:
             parts.append(repr(self.angles))
@@ -162,7 +196,7 @@ def monitor(result: Result) -> RunMonitor:
     >>> page.counts["events"], page.counts["tracks"]
     (20, 20)
     """
-    residuals, efficiencies = hit_residuals(result), layer_efficiencies(result)
+    residuals, crossings = hit_residuals(result), layer_crossings(result)
     has_times = any(isinstance(group.readout, AnalogReadout) for group in result.detector.groups)
     arrival, longest = _arrivals(result) if has_times else np.full((2, len(result.digis)), np.nan)
     tracks = result.tracks[is_fitted(result.tracks)]
@@ -176,7 +210,10 @@ def monitor(result: Result) -> RunMonitor:
     counts |= {"wire_hits": len(result.wire_hits), "tracks": len(tracks)}
     counts["tracks_with_clusters"] = int(np.count_nonzero(tracks["n_clusters"]))
     angles = lorentz_angles(result) if has_times else None
-    return RunMonitor(result, counts, _strips(result), arrival, longest, residuals, efficiencies, angles)
+    return RunMonitor(
+        result, counts, _channels(result), _strips(result), arrival, longest, residuals, crossings, crossings.regions(),
+        angles,
+    )  # fmt: skip
 
 
 def _arrivals(result: Result) -> tuple[Floats, Floats]:
@@ -188,6 +225,26 @@ def _arrivals(result: Result) -> tuple[Floats, Floats]:
     times = result.strip_times
     begin = 0.0 if times is None else times["strip_time"][np.searchsorted(times["event"], digis["event"])]
     return np.asarray(found.time - begin), found.longest
+
+
+def _channels(result: Result) -> list[dict[str, Any]]:
+    """Return the hot and dead strips."""
+    detector, digis = result.detector, result.digis
+    status, first = strip_status(detector, digis), layer_table(detector.layers)["gid_first"]
+    fires = np.unique(np.stack([digis["event"], digis["gid"]])[:, digis["gid"] >= 0], axis=1)[1]
+    found = []
+    for gid in np.flatnonzero(status).tolist():
+        number = max(one for one in cgem_numbers(detector) if first[one] <= gid)
+        layer = detector.layers[number]
+        sheet, rest = divmod(gid - int(first[number]), layer.strips_x + layer.strips_v)
+        view = int(rest >= layer.strips_x)
+        found.append(
+            {
+                "layer": layer.label, "sheet": sheet, "view": "XV"[view], "strip": rest - view * layer.strips_x,
+                "gid": gid, "status": int(status[gid]), "fired": int(np.count_nonzero(fires == gid)),
+            }
+        )  # fmt: skip
+    return found
 
 
 def _strips(result: Result) -> list[dict[str, Any]]:

@@ -47,6 +47,20 @@ def test_numbers_are_those_of_the_tables(run, page):
         assert words in text
 
 
+def test_hot_strips_are_listed(run, page):
+    """The preset's hot strips of L1: each with its place, which the digis have, too."""
+    status = cg.study.strip_status(run.detector, run.digis)
+    assert [one["gid"] for one in page.channels] == np.flatnonzero(status).tolist()
+    assert len(page.channels) > 0
+    for one in page.channels:
+        mine = run.digis[run.digis["gid"] == one["gid"]]
+        assert {"layer": one["layer"][1:], "sheet": one["sheet"], "strip": one["strip"]} == {
+            "layer": str(mine["layer"][0] + 1), "sheet": mine["sheet"][0], "strip": mine["strip"][0]
+        }  # fmt: skip
+        assert one["fired"] == len(np.unique(mine["event"]))
+    assert "hot and dead strips" in repr(page)
+
+
 def test_times_begin_with_the_first_electrons(run, page):
     """Strips of particles arrive within the drift time, those of noise anywhere in 990 ns."""
     true = run.digis["truth"] >= 0
@@ -59,10 +73,10 @@ def test_times_begin_with_the_first_electrons(run, page):
 
 def test_pictures_show_the_numbers(run, page):
     pictures = {name: picture for name, _, picture in page.pictures()}
-    assert list(pictures) == ["strips", "signals", "residuals", "profiles", "efficiencies", "tracks"]
+    assert list(pictures) == ["strips", "signals", "residuals", "profiles", "efficiencies", "maps", "tracks"]
     for picture in pictures.values():
         for axes in picture.axes:
-            assert axes.get_xlabel() or axes.get_title(), "no label"
+            assert axes.get_xlabel() or axes.get_title() or axes.get_ylabel(), "no label"
     boxes = [text.get_text() for axes in pictures["strips"].axes for text in axes.texts]
     assert [int(text.split()[0]) for text in boxes] == [one["fired"] for one in page.strips]
     hits = page.residuals
@@ -75,6 +89,16 @@ def test_pictures_show_the_numbers(run, page):
     assert f"RMS {rms:.0f} um" in first.texts[0].get_text()
     shown = pictures["efficiencies"].axes[0].containers[0].lines[0].get_ydata()
     np.testing.assert_allclose(shown, 100 * page.efficiencies.x)
+    bars = pictures["efficiencies"].axes[0].containers[0].lines[2][0].get_segments()
+    ends = 100 * np.stack([page.efficiencies.x_low, page.efficiencies.x_high], axis=1)
+    np.testing.assert_allclose([bar[:, 1] for bar in bars], ends)
+    assert np.max([bar[:, 1] for bar in bars]) <= 100
+    of_maps = pictures["maps"].axes
+    first, own = of_maps[0].collections[0].get_array().compressed(), page.crossings.select(page.crossings.layer == 0)
+    counts = np.histogram2d(own.phi, own.z, (12, 8), [(-np.pi, np.pi), (-np.abs(own.z).max(), np.abs(own.z).max())])[0]
+    assert 0 < len(first) <= np.count_nonzero(counts) + 2
+    assert first.max() <= 100
+    assert f"{len(own)} tracks" in of_maps[0].texts[0].get_text()
 
 
 def test_command_on_a_stored_run(run, page, tmp_path, capsys):
@@ -105,4 +129,4 @@ def test_readout_without_times():
     assert page.angles is None
     assert "lorentz_angles" not in page.to_dict()
     assert np.isnan(page.arrival).all()
-    assert len(list(page.pictures())) == 6
+    assert len(list(page.pictures())) == 7

@@ -145,5 +145,5 @@ def test_links_beyond_their_tables_are_refused() -> None:
     tables = {"particles": one, "truths": crossing, "wire_truths": crossing, "wire_hits": wires, "candidate_hits": hits}
     with pytest.raises(ValueError, match="truth 0: got 1"):
         _core.truth.match_hits(**tables, clusters=clusters, candidates=1)
-    with pytest.raises(ValueError, match="hit: got 1"):
+    with pytest.raises(ValueError, match="row: got 1"):
         _core.truth.match_hits(**tables, clusters=clusters | {"truth": np.zeros(1, int)}, candidates=1)
