@@ -566,7 +566,9 @@ def layer_crossings(result: Result, near: float = NEAR) -> LayerCrossings:
         raise ValueError(f"layer_efficiencies: near: got {near}, expected a positive distance in mm")
     parts = [_crossings(result, number, near) for number in cgem_numbers(result.detector)]
     names = [name for name in LayerCrossings.__dataclass_fields__ if name != "labels"]
-    columns = {name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0) for name in names}
+    columns: dict[str, Any] = {
+        name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0) for name in names
+    }
     labels = {number: result.detector.layers[number].label for number in cgem_numbers(result.detector)}
     return LayerCrossings(labels, **columns)
 

@@ -179,7 +179,7 @@ def aligned_layers(detector: Detector, offsets: Sequence[PointOffset]) -> Detect
     offsets : sequence of PointOffset
         Layers with fewer than two tracks stay.
     """
-    changes = {}
+    changes: dict[str, object] = {}
     for one in offsets:
         if one.n > 1:
             layer = detector.cgem[one.label]

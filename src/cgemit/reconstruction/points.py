@@ -205,10 +205,10 @@ def _with_choices(
     """Return the hits with those of the choices, by candidate."""
     more: list[tuple[int, int, int, float]] = []
     for track, choice in taken.items():
-        for view, row in ((HIT_X, choice.x), (HIT_V, choice.v)):
-            if row >= 0:
-                other = max(one.gain for one in choices[track] if row not in one.rows)
-                more.append((track, view, row, choice.gain - other))
+        for kind, cluster in ((HIT_X, choice.x), (HIT_V, choice.v)):
+            if cluster >= 0:
+                other = max(one.gain for one in choices[track] if cluster not in one.rows)
+                more.append((track, kind, cluster, choice.gain - other))
     candidate, view, row, margin = (np.array(column) for column in (zip(*more, strict=True) if more else [[]] * 4))
     whole = candidate.astype(np.int64)
     added = {"event": candidates["event"][whole], "candidate": whole, "view": view, "hit": row, "margin": margin}
