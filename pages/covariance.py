@@ -162,7 +162,7 @@ def draw(found: Found) -> Picture:
     looks = dict(zip(names, ("o", "s", "^", "v", "D", "x"), strict=False))
     colours = dict(zip(MOMENTA, (COLORS["x"], COLORS["fit"], COLORS["truth"], COLORS["single"]), strict=True))
     with style():
-        picture, axes = new_picture(2, 3, (13.5, 7.6))
+        picture, axes = new_picture(3, 2, (8.6, 10.5))
         for plot, quantity in zip(axes, QUANTITIES, strict=True):
             plot.axhspan(0.98, 1.02, color=COLORS["matter"], lw=0)
             for row in rows:
@@ -189,8 +189,8 @@ def draw(found: Found) -> Picture:
         for name, marker in looks.items():
             axes[0].plot([], [], marker, color=COLORS["data"], ms=5, label=name)
         entries = legend_entries(axes)
-        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=5)
-        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.18, wspace=0.25, hspace=0.38)
+        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=4)
+        picture.subplots_adjust(left=0.1, right=0.99, top=0.97, bottom=0.14, wspace=0.3, hspace=0.4)
     return picture
 
 

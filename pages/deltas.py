@@ -375,7 +375,7 @@ _MARKERS = {"reference": ("o", COLORS["fit"]), "whole layer": ("s", COLORS["trut
 def draw(found: Found) -> Picture:
     """Draw fractions against the distance, electrons born in the gap, and the RMS of the X residual by window."""
     with style():
-        picture, axes = new_picture(2, 3, (13.4, 8.4))
+        picture, axes = new_picture(3, 2, (8.6, 11.0))
         for plot, (key, title) in zip(axes, _PANELS.items(), strict=False):
             _draw_fractions(plot, found["fractions"].rows, *key)
             plot.set(title=title, xlabel="displaced by more than  (mm)", ylabel="muons  (%)", ylim=(0.2, 5))
@@ -383,8 +383,8 @@ def draw(found: Found) -> Picture:
         _draw_residuals(axes[5], found["residuals"].rows)
         for plot in axes:
             grid(plot)
-        picture.legend(handles=_handles(), loc="lower center", ncols=7)
-        picture.subplots_adjust(left=0.055, right=0.99, top=0.95, bottom=0.125, wspace=0.22, hspace=0.3)
+        picture.legend(handles=_handles(), loc="lower center", ncols=3)
+        picture.subplots_adjust(left=0.09, right=0.99, top=0.97, bottom=0.15, wspace=0.26, hspace=0.35)
     return picture
 
 

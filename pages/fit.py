@@ -585,45 +585,35 @@ def _known_table(results: FitResults) -> str:
 
 
 def draw_pulls(found: Found) -> Picture:
-    """Draw widths and means of the pulls of the reference detector against momentum; grey is what is allowed."""
+    """Draw widths of the pulls of the reference detector against momentum; grey is what is allowed."""
     results = FitResults.of(found)
     rows = [row for row in results.pulls if row.detector == DETECTORS[0]]
     with style():
-        picture, axes = new_picture(4, 6, (16.8, 9.4))
-        panels = [("gaussian", "width"), ("gaussian", "mean"), ("default", "width"), ("default", "mean")]
-        plots = iter(axes)
-        for mode, quantity in panels:
-            for name in QUANTITIES:
-                plot = next(plots)
-                _points(plot, [row for row in rows if (row.mode, row.parameter) == (mode, name)], quantity)
-                low, high = (0.85, 1.15) if quantity == "width" else (-0.2, 0.2)  # what fails by far is on file
-                plot.set(
-                    title=f"{mathematical(SYMBOLS[name].symbol)}, {mode}",
-                    ylabel=f"{quantity} of the pull",
-                    ylim=(low, high),
-                )
+        picture, axes = new_picture(4, 3, (8.6, 10.0))
+        panels = [(mode, name) for mode in ("gaussian", "default") for name in QUANTITIES]
+        for plot, (mode, name) in zip(axes, panels, strict=True):
+            _points(plot, [row for row in rows if (row.mode, row.parameter) == (mode, name)])
+            title = f"{mathematical(SYMBOLS[name].symbol)}, {mode}"
+            plot.set(title=title, ylabel="width of the pull", ylim=(0.85, 1.15))  # what fails by far is on file
         for name, marker in _MARKERS.items():
             axes[0].plot([], [], marker, color=COLORS["data"], ms=5, label=name)
         for angle, colour in _ANGLE_COLOURS.items():
             axes[0].plot([], [], "o", color=colour, ms=6, label=f"cos θ = {angle:g}")
         entries = legend_entries(axes)
-        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=6)
-        picture.subplots_adjust(left=0.05, right=0.99, top=0.96, bottom=0.11, wspace=0.38, hspace=0.45)
+        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=4)
+        picture.subplots_adjust(left=0.08, right=0.99, top=0.96, bottom=0.13, wspace=0.4, hspace=0.55)
     return picture
 
 
-def _points(plot: Axes, rows: Sequence[Pull], quantity: str) -> None:
-    which = ("width", "mean").index(quantity)
-    centre = 1.0 - which
+def _points(plot: Axes, rows: Sequence[Pull]) -> None:
     for row in rows:
         shift = 0.16 * ANGLES.index(row.cos_theta) - 0.22 + 0.025 * list(_MARKERS).index(row.particle)
         x = MOMENTA.index(row.p) + shift
-        allowed = row.tolerances[which]
-        plot.fill_between((x - 0.02, x + 0.02), centre - allowed, centre + allowed, color=COLORS["matter"], lw=0)
-        value, error = getattr(row, quantity), getattr(row, f"{quantity}_error")
+        allowed = row.tolerances[0]
+        plot.fill_between((x - 0.02, x + 0.02), 1 - allowed, 1 + allowed, color=COLORS["matter"], lw=0)
         colour = _ANGLE_COLOURS[row.cos_theta]
-        plot.errorbar(x, value, error, fmt=_MARKERS[row.particle], color=colour, ms=2.5, lw=0.8)
-    plot.axhline(centre, color=COLORS["data"], lw=0.8)
+        plot.errorbar(x, row.width, row.width_error, fmt=_MARKERS[row.particle], color=colour, ms=2.5, lw=0.8)
+    plot.axhline(1, color=COLORS["data"], lw=0.8)
     plot.set_xticks(range(len(MOMENTA)), [f"{p:g}" for p in MOMENTA])
     plot.set_xlabel("p  (GeV/c)")
     draw_grid(plot)
@@ -636,7 +626,7 @@ def draw_residuals(found: Found) -> Picture:
     names = list(dict.fromkeys(row.parameter for row in rows))
     names.sort(key=lambda name: ("xvw".index(name[0]) == 2, int(name[1:]), name[0]))
     with style():
-        picture, axes = new_picture(2, 1, (13.0, 6.0))
+        picture, axes = new_picture(2, 1, (8.6, 6.6))
         for plot, quantity in zip(axes, ("width", "mean"), strict=True):
             for number, p in enumerate(PARTICLES["mu-"][1:]):
                 by_layer = {row.parameter: row for row in rows if row.p == p}
@@ -653,7 +643,7 @@ def draw_residuals(found: Found) -> Picture:
         axes[0].set_title(f"{DETECTORS[0]}, mu-, cos θ = 0, all Gaussian: each hit against the track without it")
         axes[1].set_xlabel("layer: X and V of the CGEM, wires")
         axes[0].legend(ncols=4, loc="upper right")
-        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.11, hspace=0.25)
+        picture.subplots_adjust(left=0.09, right=0.99, top=0.95, bottom=0.11, hspace=0.3)
     return picture
 
 
@@ -661,11 +651,11 @@ def draw_choices(found: Found) -> Picture:
     """Draw the core of the pull of kappa for each loss, wrong sides, and widths over the optimum."""
     results = FitResults.of(found)
     with style():
-        picture, axes = new_picture(1, 4, (14.0, 4.0))
+        picture, axes = new_picture(2, 2, (8.6, 7.2))
         _draw_losses(axes[0], axes[1], results)
         _draw_sides(axes[2], results)
         _draw_widths(axes[3], results)
-        picture.subplots_adjust(left=0.05, right=0.99, top=0.92, bottom=0.14, wspace=0.3)
+        picture.subplots_adjust(left=0.09, right=0.99, top=0.95, bottom=0.08, wspace=0.28, hspace=0.35)
     return picture
 
 

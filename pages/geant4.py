@@ -283,7 +283,7 @@ def draw_scattering_ratios(found: Found) -> Picture:
     single = [row for row in rows if row.model == "SS"]
     places = list(dict.fromkeys((row.slab, row.p) for row in single))
     with style():
-        picture, axes = new_picture(1, 3, (13.4, 5.0))
+        picture, axes = new_picture(3, 1, (8.6, 11.5))
         for plot, name in zip(axes, ANGLES, strict=True):
             by_place = {(row.slab, row.p, row.screening): row for row in single if row.quantity == name}
             for i, (slab, p) in enumerate(places):
@@ -298,8 +298,8 @@ def draw_scattering_ratios(found: Found) -> Picture:
             plot.set_xticks(range(len(places)), labels, rotation=35, ha="right", fontsize=8)
             grid(plot)
         entries = legend_entries(axes)
-        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=5)
-        picture.subplots_adjust(left=0.055, right=0.99, top=0.93, bottom=0.31, wspace=0.24)
+        picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=3)
+        picture.subplots_adjust(left=0.09, right=0.99, top=0.97, bottom=0.17, hspace=0.72)
     return picture
 
 
@@ -328,7 +328,7 @@ def draw_loss_ratios(found: Found) -> Picture:
     names = [*_QUANTILES, "mean"]
     slabs = list(dict.fromkeys(row.slab for row in rows if row.model == "WVI"))
     with style():
-        picture, axes = new_picture(2, 3, (13.0, 7.4))
+        picture, axes = new_picture(3, 2, (8.6, 10.0))
         for plot, slab in zip(axes, slabs, strict=True):
             for number, (p, colour) in enumerate(_MOMENTA.items()):
                 for row in rows:
@@ -347,30 +347,28 @@ def draw_loss_ratios(found: Found) -> Picture:
             grid(plot)
         entries = legend_entries(axes)
         picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=3)
-        picture.subplots_adjust(left=0.055, right=0.99, top=0.95, bottom=0.1, wspace=0.22, hspace=0.24)
+        picture.subplots_adjust(left=0.09, right=0.99, top=0.96, bottom=0.08, wspace=0.28, hspace=0.3)
     return picture
 
 
 def draw_distributions(found: Found) -> Picture:
     """Draw how many angles are beyond, and how many losses below a value; points are Geant4's quantiles."""
     with style():
-        picture, axes = new_picture(2, 4, (15.0, 7.4))
-        for column, slab in enumerate(_DRAWN):
+        picture, axes = new_picture(4, 2, (8.6, 12.5))
+        for left, right, slab in zip(axes[::2], axes[1::2], _DRAWN, strict=True):
             for p, colour in _MOMENTA.items():
                 mine = [row for row in found["quantiles"].rows if (row.slab, row.p) == (slab, p)]
-                for plot, name in ((axes[column], "angle"), (axes[4 + column], "loss")):
+                for plot, name in ((left, "angle"), (right, "loss")):
                     curve = [row for row in mine if row.quantity == name]
                     plot.plot([row.value for row in curve], [row.level for row in curve], color=colour, lw=1.3)
-                _geant4_angles(axes[column], slab, p, colour)
-                _geant4_losses(axes[4 + column], slab, p, colour)
-            axes[column].set(
-                title=TITLES[slab], xscale="log", yscale="log", ylim=(3e-4, 1.2), xlabel="|plane angle|  (mrad)"
-            )
-            axes[4 + column].set(xscale="log", yscale="logit", ylim=(0.002, 0.998), xlabel="energy loss  (keV)")
-            axes[4 + column].yaxis.set_minor_formatter(NullFormatter())
-            axes[4 + column].xaxis.set_minor_formatter(NullFormatter())
-        axes[0].set_ylabel("fraction beyond")
-        axes[4].set_ylabel("fraction below", labelpad=0)
+                _geant4_angles(left, slab, p, colour)
+                _geant4_losses(right, slab, p, colour)
+            left.set(title=TITLES[slab], xscale="log", yscale="log", ylim=(3e-4, 1.2), xlabel="|plane angle|  (mrad)")
+            right.set(xscale="log", yscale="logit", ylim=(0.002, 0.998), xlabel="energy loss  (keV)")
+            right.yaxis.set_minor_formatter(NullFormatter())
+            right.xaxis.set_minor_formatter(NullFormatter())
+            left.set_ylabel("fraction beyond")
+            right.set_ylabel("fraction below", labelpad=0)
         for plot in axes:
             grid(plot)
         handles = [Line2D([], [], color=colour, label=f"cgemit, {p:g} GeV/c") for p, colour in _MOMENTA.items()]
@@ -379,8 +377,8 @@ def draw_distributions(found: Found) -> Picture:
             Line2D([], [], ls="", marker=marker, mfc="white", color=COLORS["data"], label=f"Geant4, {label}")
             for marker, label in points
         ]
-        picture.legend(handles=handles, loc="lower center", ncols=5)
-        picture.subplots_adjust(left=0.06, right=0.99, top=0.95, bottom=0.12, wspace=0.22, hspace=0.28)
+        picture.legend(handles=handles, loc="lower center", ncols=3)
+        picture.subplots_adjust(left=0.09, right=0.99, top=0.97, bottom=0.1, wspace=0.28, hspace=0.42)
     return picture
 
 
