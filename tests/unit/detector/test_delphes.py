@@ -393,6 +393,51 @@ def test_rows_that_touch_and_overlap_are_in_the_resolutions(tmp_path, p):
     assert with_all[0] / without[0] > 1.02
 
 
+#: Barrel rows of GeoCLD.txt (github.com/selvaggi/FastTrackCovariance).
+CLD = """
+1 PIPE -100 100 0.015 0.0012 0.35276 0 0 0 0 0 0
+1 VTX -0.125 0.125 0.0175 4.5e-05 0.0937 2 0 1.5708 3e-06 3e-06 1
+1 VTX -0.125 0.125 0.0185 4.5e-05 0.0937 2 0 1.5708 3e-06 3e-06 1
+1 VTX -0.125 0.125 0.037 4.5e-05 0.0937 2 0 1.5708 3e-06 3e-06 1
+1 VTX -0.125 0.125 0.038 4.5e-05 0.0937 2 0 1.5708 3e-06 3e-06 1
+1 VTX -0.125 0.125 0.057 4.5e-05 0.0937 2 0 1.5708 3e-06 3e-06 1
+1 VTX -0.125 0.125 0.058 4.5e-05 0.0937 2 0 1.5708 3e-06 3e-06 1
+1 VTX -0.125 0.125 0.018 0.000557 0.0937 0 0 0 0 0 0
+1 VTX -0.125 0.125 0.0375 0.000557 0.0937 0 0 0 0 0 0
+1 VTX -0.125 0.125 0.0575 0.000557 0.0937 0 0 0 0 0 0
+1 VTX -0.5 0.5 0.112 0.000337 0.0937 0 0 0 0 0 0
+1 VTX -0.126 0.126 0.111 9e-06 0.0937 0 0 0 0 0 0
+1 VTX -0.5 0.5 0.1115 9e-06 0.0937 0 0 0 0 0 0
+1 ITK -0.4816 0.4816 0.127 0.000956 0.0937 2 0 1.5708 7e-06 9e-05 1
+1 ITK -0.4816 0.4816 0.4 0.000956 0.0937 2 0 1.5708 7e-06 9e-05 1
+1 ITK -0.6923 0.6923 0.67 0.000956 0.0937 2 0 1.5708 7e-06 9e-05 1
+1 ITK -0.4816 0.4816 0.132 0.000159 0.0937 0 0 0 0 0 0
+1 ITK -0.4816 0.4816 0.405 0.000159 0.0937 0 0 0 0 0 0
+1 ITK -0.6923 0.6923 0.675 0.000159 0.0937 0 0 0 0 0 0
+1 ITK -2.3 2.3 0.686 0.001171 0.0937 0 0 0 0 0 0
+1 ITK -2.3 2.3 0.6855 0.000281 0.0937 0 0 0 0 0 0
+1 OTK -1.2642 1.2642 1 0.000956 0.0937 2 0 1.5708 7e-06 9e-05 1
+1 OTK -1.2642 1.2642 1.568 0.000956 0.0937 2 0 1.5708 7e-06 9e-05 1
+1 OTK -1.2642 1.2642 2.136 0.000956 0.0937 2 0 1.5708 7e-06 9e-05 1
+1 OTK -1.2642 1.2642 1.005 0.000244 0.0937 0 0 0 0 0 0
+1 OTK -1.2642 1.2642 1.578 0.000117 0.0937 0 0 0 0 0 0
+1 OTK -1.2642 1.2642 2.126 0.000117 0.0937 0 0 0 0 0 0
+1 MAG -2.5 2.5 2.25 0.05 0.0658 0 0 0 0 0 0
+"""
+
+
+@pytest.mark.parametrize("p", [1.0, 10.0, 100.0])
+def test_cld_is_as_least_squares_and_as_published(tmp_path, p):
+    """Published for muons of 100 GeV/c: 4e-5/GeV (viazlo_FCCweek2018.tex of github.com/oviazlo/presentations)."""
+    (tmp_path / "GeoCLD.txt").write_text(CLD)
+    detector = cg.load({"base": str(tmp_path / "GeoCLD.txt"), "name": "cld", "field": {"kind": "uniform", "bz": "2 T"}})
+    right = sum(float(words[5]) / float(words[6]) for words in map(str.split, CLD.strip().splitlines()))
+    assert (len(detector.layers), matter(detector)) == (12, pytest.approx(right, rel=1e-5))
+    errors = assert_as_least_squares(detector, CLD, p, 0.0, 2.0)
+    if p == 100.0:
+        assert errors[2] == pytest.approx(4e-5, abs=0.5e-5)  # of kappa, across the beam that of 1/pT
+
+
 def test_show_writes_a_card(tmp_path, capsys):
     from cgemit.cli.main import main
 

@@ -399,5 +399,7 @@ def test_a_tracker_of_silicon_and_a_chamber() -> None:
     assert layers[-1].r_end < 1987.5 < detector.walls["outer"].r_in  # the guard wires of the source
     walls = [100 * (part.r_out - part.r_in) / part.material.x0 for part in detector.walls]
     assert walls == pytest.approx([100 * 0.2 / 237.223, 100 * 20 / 1667])
+    gas = sum(shell.x0 for slab in slabs(detector) for shell in slab.shells if shell.group == "gas")
+    assert sum(walls) + 100 * gas == pytest.approx(1.4, abs=0.05)  # 1.6 % with wires (PoS(EPS-HEP2021)786)
     pipe = detector.beam_pipe[0]
     assert (pipe.r_out - pipe.r_in) / pipe.material.x0 == pytest.approx(2.35 / 352.76, rel=1e-3)
