@@ -106,17 +106,17 @@ _TEMPORARY = re.compile(r"\.cgemit-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{8}\.tmp")
 
 
 @contextmanager
-def _temporary(place: Path) -> Iterator[Path]:
-    """Give a folder in `place` that is removed at the end; remove those that killed runs left.
+def _temporary(parent: Path) -> Iterator[Path]:
+    """Give a folder in `parent` that is removed at the end; remove those that killed runs left.
 
     Its name holds the host, the process and the start of the process, its time of modification is a heartbeat: locks
     may be local to a host, so that they do not show whether a run on another host is alive.
     """
-    folder = place / f".cgemit-{_host()}-{os.getpid()}-{_started(os.getpid())}-{secrets.token_hex(4)}.tmp"
+    folder = parent / f".cgemit-{_host()}-{os.getpid()}-{_started(os.getpid())}-{secrets.token_hex(4)}.tmp"
     ended = threading.Event()
     try:
         folder.mkdir()
-        remove_left(place, now=folder.stat().st_mtime)
+        remove_left(parent, now=folder.stat().st_mtime)
         _temporaries.add(folder)
         threading.Thread(target=_beat, args=(folder, ended), name=HEARTBEAT, daemon=True).start()
         yield folder
@@ -143,17 +143,17 @@ def _beat(folder: Path, ended: threading.Event) -> None:
             os.utime(folder)  # by the clock of the file system, where that is another one
 
 
-def remove_left(place: Path, now: float | None = None) -> None:
+def remove_left(parent: Path, now: float | None = None) -> None:
     """Remove the temporary folders in a folder that runs left when they were killed.
 
     Those of this host are left if their process has ended, those of other hosts after a day without a heartbeat, by
     the file system's time `now`.
     """
-    for folder in place.glob(".cgemit-*.tmp"):
+    for folder in parent.glob(".cgemit-*.tmp"):
         with contextlib.suppress(OSError):  # removed by another run
-            if folder.is_symlink() or (found := _TEMPORARY.fullmatch(folder.name)) is None:
+            if folder.is_symlink() or (match := _TEMPORARY.fullmatch(folder.name)) is None:
                 continue
-            host, process, started = found.groups()
+            host, process, started = match.groups()
             if host == _host():
                 alive = _started(int(process))
                 left = alive < 0 or (0 < alive != int(started) > 0)
@@ -356,9 +356,9 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Write the record of a folder, complete at all times."""
-        with _temporary(folder) as place:
-            (place / CONTENTS).write_text(json.dumps(asdict(self), indent=0) + "\n", encoding="utf-8")
-            (place / CONTENTS).replace(folder / CONTENTS)
+        with _temporary(folder) as temporary:
+            (temporary / CONTENTS).write_text(json.dumps(asdict(self), indent=0) + "\n", encoding="utf-8")
+            (temporary / CONTENTS).replace(folder / CONTENTS)
 
     def problem(self, folder: Path, name: str) -> str:
         """Return why something in the folder must not be replaced; an empty text if it may, or is not there."""
@@ -489,11 +489,11 @@ def _refuse(folder: Path, problems: Callable[[Record], Iterable[str]], expected:
     while True:
         record = Record.of(folder)
         with contextlib.suppress(FileNotFoundError):  # of what another run removes
-            found = list(problems(record))
-            if not found:
+            problems_found = list(problems(record))
+            if not problems_found:
                 return
             if Record.of(folder) == record:  # else another run wrote its results meanwhile
-                raise OutputExistsError(f"{_list(folder, found)}; expected {expected}")
+                raise OutputExistsError(f"{_list(folder, problems_found)}; expected {expected}")
 
 
 def _list(folder: Path, problems: Collection[str]) -> str:
@@ -522,14 +522,14 @@ def _publish(temporary: Path, target: Path, *, overwrite: bool) -> None:
         shutil.move(new, target / new.name)  # the target may be a mount point
 
 
-def _clear(folder: Path, kept: Collection[str]) -> None:
+def _clear(folder: Path, keep: Collection[str]) -> None:
     """Remove all that a folder holds but temporary folders, and the files in it and its folders that are named."""
     for old in sorted(folder.iterdir(), key=lambda path: path.name not in _INDEXES):
         if not old.is_dir() or old.is_symlink():
-            if old.name not in kept:
+            if old.name not in keep:
                 old.unlink()
         elif not _TEMPORARY.fullmatch(old.name):
-            _clear(old, set(kept) - {CONTENTS})
+            _clear(old, set(keep) - {CONTENTS})
             with contextlib.suppress(OSError):  # it holds what is kept
                 old.rmdir()
 
@@ -594,9 +594,9 @@ def add_files(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    with _temporary(target) as place:
-        yield place
-        new = {path.relative_to(place).as_posix(): path for path in sorted(place.rglob("*")) if path.is_file()}
+    with _temporary(target) as temporary:
+        yield temporary
+        new = {path.relative_to(temporary).as_posix(): path for path in sorted(temporary.rglob("*")) if path.is_file()}
         _refuse(target, lambda record: record.among(target, new), "nothing there, or a file as it was written")
         _note(target, {name: _checksum(path) for name, path in new.items()})
         for name in new.keys() & set(_INDEXES):  # without it the folder is incomplete
@@ -624,10 +624,10 @@ def parse_toml(text: str) -> dict[str, Any]:
     lines = text.splitlines()
     if len(text) > _LARGEST or max(map(len, lines), default=0) > _LONGEST_LINE:
         raise ValueError(f"more than {_LARGEST} characters, or more than {_LONGEST_LINE} in a line")
-    for number, line in enumerate(lines, start=1):
+    for line_number, line in enumerate(lines, start=1):
         pieces = [] if line.count(".") <= _DEEPEST or line.lstrip().startswith("#") else _PIECES.split(line)
         if any(piece.count(".") > _DEEPEST for piece in pieces):
-            raise ValueError(f"line {number} has more than {_DEEPEST} dots in a key or a value")
+            raise ValueError(f"line {line_number} has more than {_DEEPEST} dots in a key or a value")
     try:
         tables = tomllib.loads(text)
     except RecursionError:

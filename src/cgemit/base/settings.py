@@ -192,16 +192,16 @@ def _about(settings: Any, path: str) -> str:
 
 def _without_none(settings: Any, tables: Mapping[str, Any], *, say_none: bool) -> dict[str, Any]:
     """Return tables without what is None by default, and the text where None is not the default, or always."""
-    found = dict(tables)
+    without = dict(tables)
     for field in fields(settings):
         value = getattr(settings, field.name)
         if is_settings(kinds_of(type(settings))[field.name]):
-            found[field.name] = _without_none(value, tables[field.name], say_none=say_none)
+            without[field.name] = _without_none(value, tables[field.name], say_none=say_none)
         elif value is None and default_of(field) is None and not say_none:
-            del found[field.name]
+            del without[field.name]
         elif value is None:
-            found[field.name] = NONE
-    return found
+            without[field.name] = NONE
+    return without
 
 
 def _lay_over(tree: dict[str, Any], tables: Mapping[str, Any], path: str, origin: str, origins: dict[str, str]) -> None:

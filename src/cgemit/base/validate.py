@@ -37,24 +37,24 @@ T = TypeVar("T")
 _NUMBER = (int, float, np.integer, np.floating)
 
 
-def number(given: object) -> float:
+def number(raw: object) -> float:
     """Return a number of Python or numpy as a float; NaN, which no range holds, for anything else."""
-    if not isinstance(given, _NUMBER) or isinstance(given, bool):
+    if not isinstance(raw, _NUMBER) or isinstance(raw, bool):
         return math.nan
     try:
-        return float(given)
+        return float(raw)
     except OverflowError:  # a whole number of hundreds of digits
         return math.inf
 
 
-def is_whole(given: object, least: int, most: int) -> bool:
+def is_whole(raw: object, least: int, most: int) -> bool:
     """Tell whether something is a whole number, of Python or numpy, within limits."""
-    return isinstance(given, int | np.integer) and not isinstance(given, bool) and bool(least <= given <= most)
+    return isinstance(raw, int | np.integer) and not isinstance(raw, bool) and bool(least <= raw <= most)
 
 
-def check_whole(path: str, given: object, least: int, most: int, problems: Problems) -> None:
+def check_whole(path: str, raw: object, least: int, most: int, problems: Problems) -> None:
     """Note a value that is not a whole number within limits."""
-    Whole(least, most).read(path, given, problems)
+    Whole(least, most).read(path, raw, problems)
 
 
 def check_seed(seed: object, problems: Problems) -> None:
@@ -121,11 +121,11 @@ class Whole:
         """Return the allowed values as text."""
         return f"a whole number from {self.low} to {self.high}"
 
-    def read(self, path: str, given: Any, problems: Problems) -> Any:
+    def read(self, path: str, raw: Any, problems: Problems) -> Any:
         """Return a whole number of Python; NO, with the problem noted, if it is none within the limits."""
-        if is_whole(given, self.low, self.high):
-            return int(given)
-        problems.note(path, f"{given!r:.80}", self.expected())
+        if is_whole(raw, self.low, self.high):
+            return int(raw)
+        problems.note(path, f"{raw!r:.80}", self.expected())
         return NO
 
     def read_text(self, path: str, text: str, problems: Problems) -> Any:
@@ -188,27 +188,27 @@ class Quantity:
             return "a finite number" if self.low else signs
         return f"{f'{_article(self.kind)} in {unit}' if unit else 'a number'} {self.limits()}".rstrip()
 
-    def read(self, path: str, given: Any, problems: Problems) -> Any:
+    def read(self, path: str, raw: Any, problems: Problems) -> Any:
         """Return one number in native units; NO, with the problem noted, if it is none within the limits."""
         try:
-            value = self.value(given)
+            value = self.value(raw)
         except QuantityError as error:
             problems.take(error, path)
             return NO
         if self.admits(value):
             return value
-        text = isinstance(given, str)
+        text = isinstance(raw, str)
         unit = NATIVE[self.kind]
-        native = f" = {value:.6g} {unit}" if text and unit not in given else ""
-        hint = f'did you mean "{given:g} deg"?' if self._in_degrees(given, value) else ""
-        problems.note(path, f"{shown(given)}{native}", self.expected(), hint)
+        native = f" = {value:.6g} {unit}" if text and unit not in raw else ""
+        hint = f'did you mean "{raw:g} deg"?' if self._in_degrees(raw, value) else ""
+        problems.note(path, f"{shown(raw)}{native}", self.expected(), hint)
         return NO
 
-    def value(self, given: Any) -> float:
+    def value(self, raw: Any) -> float:
         """Return a value in native units; NaN if it is neither a number nor text."""
-        if not isinstance(given, str):
-            return number(given)
-        return number_of(given, self.kind)
+        if not isinstance(raw, str):
+            return number(raw)
+        return number_of(raw, self.kind)
 
     def _in_degrees(self, given: Any, value: float) -> bool:
         return self.kind == "angle" and not isinstance(given, str) and self.admits(math.radians(value))
@@ -270,26 +270,26 @@ class Spread(Quantity):
     Text has the forms of the command line: ``A:B`` is a range, ``A,B,C`` and ``A:B:COUNT`` are values in turn.
     """
 
-    def read(self, path: str, given: Any, problems: Problems) -> Any:
+    def read(self, path: str, raw: Any, problems: Problems) -> Any:
         """Return a number, a pair, or the values in turn; NO, with problems noted, if there are any."""
-        if isinstance(given, InTurn):
-            given = list(given.values)
-        if isinstance(given, np.ndarray):
-            given = given.tolist()
-        if isinstance(given, str) and (given := split_values(path, given, self, problems)) is NO:
+        if isinstance(raw, InTurn):
+            raw = list(raw.values)
+        if isinstance(raw, np.ndarray):
+            raw = raw.tolist()
+        if isinstance(raw, str) and (raw := split_values(path, raw, self, problems)) is NO:
             return NO
-        if not isinstance(given, tuple | list):
-            return super().read(path, given, problems)
-        if isinstance(given, tuple) and len(given) != 2:
-            problems.note(path, f"{given!r:.80}", "(low, high), or a list for values to use in turn")
+        if not isinstance(raw, tuple | list):
+            return super().read(path, raw, problems)
+        if isinstance(raw, tuple) and len(raw) != 2:
+            problems.note(path, f"{raw!r:.80}", "(low, high), or a list for values to use in turn")
             return NO
-        if not given:
+        if not raw:
             problems.note(path, "an empty list", "a list of at least one number")
             return NO
-        values = tuple(super(Spread, self).read(f"{path}[{i}]", value, problems) for i, value in enumerate(given))
+        values = tuple(super(Spread, self).read(f"{path}[{i}]", value, problems) for i, value in enumerate(raw))
         if NO in values:
             return NO
-        if isinstance(given, list):
+        if isinstance(raw, list):
             return InTurn(values)
         if values[0] > values[1]:
             problems.note(path, f"({values[0]}, {values[1]})", "a range from low to high")
@@ -301,11 +301,11 @@ class Spread(Quantity):
 class Axes(Spread):
     """Constraint of three quantities along x, y and z, each as for `Spread`, or the text ``X,Y,Z``."""
 
-    def read(self, path: str, given: Any, problems: Problems) -> Any:
+    def read(self, path: str, raw: Any, problems: Problems) -> Any:
         """Return three values; NO, with problems noted, if there are any."""
-        axes = given.split(",") if isinstance(given, str) else given
+        axes = raw.split(",") if isinstance(raw, str) else raw
         if not isinstance(axes, tuple | list | np.ndarray) or len(axes) != 3:
-            problems.note(path, f"{given!r:.80}", "three, along x, y and z")
+            problems.note(path, f"{raw!r:.80}", "three, along x, y and z")
             return NO
         values = tuple(
             super(Axes, self).read(joined(path, axis), value, problems) for axis, value in zip("xyz", axes, strict=True)
@@ -373,10 +373,10 @@ def reader(kind: Any) -> Reader:
     return functools.partial(_read_optional, constraint.read) if allows_none(kind) else constraint.read
 
 
-def _read_matched(kind: Any, match: Callable[[object], Any], path: str, given: object, problems: Problems) -> Any:
-    value = match(given)
+def _read_matched(kind: Any, match: Callable[[object], Any], path: str, raw: object, problems: Problems) -> Any:
+    value = match(raw)
     if value is NO:
-        _note(kind, given, path, problems)
+        _note(kind, raw, path, problems)
     return value
 
 
@@ -446,18 +446,18 @@ _PLAIN: Mapping[Any, Callable[[object], Any]] = {
 }
 
 
-def _note(kind: Any, given: object, path: str, problems: Problems) -> None:
+def _note(kind: Any, raw: object, path: str, problems: Problems) -> None:
     """Note a value that is not of a kind; of a list of any length, each wrong entry."""
-    if isinstance(given, tuple | list):
-        for one in _members(kind):
-            if get_origin(one) is tuple and get_args(one)[-1] is Ellipsis:
-                entry = get_args(one)[0]
-                for i, value in enumerate(given):
+    if isinstance(raw, tuple | list):
+        for member in _members(kind):
+            if get_origin(member) is tuple and get_args(member)[-1] is Ellipsis:
+                entry = get_args(member)[0]
+                for i, value in enumerate(raw):
                     if matcher(entry)(value) is NO:
                         _note(entry, value, f"{path}[{i}]", problems)
                 return
-    text = f"{type(given).__name__}(...)" if is_dataclass(given) else f"{given!r:.80}"
-    hint = did_you_mean(given, texts_of(kind))
+    text = f"{type(raw).__name__}(...)" if is_dataclass(raw) else f"{raw!r:.80}"
+    hint = did_you_mean(raw, texts_of(kind))
     problems.note(path, text, expected(kind), hint)
 
 
@@ -508,32 +508,32 @@ class Listed(Quantity):
         """Return the allowed values as text."""
         return super().expected() + (', or "A:B"' if self.ranges else "")
 
-    def read(self, path: str, given: Any, problems: Problems) -> Any:
+    def read(self, path: str, raw: Any, problems: Problems) -> Any:
         """Return a tuple of numbers and pairs; NO, with problems noted, if there are any."""
-        given = given.tolist() if isinstance(given, np.ndarray | np.generic) else given
-        if isinstance(given, str):
-            text = given
-            given = split_values(path, text, self, problems)
-            if given is NO:
+        raw = raw.tolist() if isinstance(raw, np.ndarray | np.generic) else raw
+        if isinstance(raw, str):
+            text = raw
+            raw = split_values(path, text, self, problems)
+            if raw is NO:
                 return NO
-            if isinstance(given, tuple) and not self.ranges:
+            if isinstance(raw, tuple) and not self.ranges:
                 problems.note(path, f"{shown(text)}, a range", LIST_FORMS)
                 return NO
-        listed = isinstance(given, list | Values) or (isinstance(given, tuple) and not self.ranges)
-        if listed and not given:
+        listed = isinstance(raw, list | Values) or (isinstance(raw, tuple) and not self.ranges)
+        if listed and not raw:
             problems.note(path, "an empty list", "a list of at least one number")
         values = Values(
             self._one(f"{path}[{i}]" if listed else path, value, problems)
-            for i, value in enumerate(given if listed else [given])
+            for i, value in enumerate(raw if listed else [raw])
         )
         return NO if NO in values or not values else values
 
-    def _one(self, path: str, given: Any, problems: Problems) -> Any:
+    def _one(self, path: str, raw: Any, problems: Problems) -> Any:
         if not self.ranges:
-            return super().read(path, given, problems)
-        pair = split_values(path, given, self, problems) if isinstance(given, str) else given
+            return super().read(path, raw, problems)
+        pair = split_values(path, raw, self, problems) if isinstance(raw, str) else raw
         if isinstance(pair, list):
-            problems.note(path, shown(given), self.expected())
+            problems.note(path, shown(raw), self.expected())
             return NO
         each = Spread(self.kind, self.low, self.high, self.above, self.below)
         return NO if pair is NO else each.read(path, pair, problems)
@@ -569,11 +569,11 @@ def entries(
     return {name: value for name, value in raw.items() if name in known} if unknown else raw
 
 
-def build(cls: type[T], given: object, path: str, problems: Problems) -> T | None:
+def build(cls: type[T], table: object, path: str, problems: Problems) -> T | None:
     """Return an instance of a dataclass made of a table; None, with problems added, if there are any."""
     kinds, values, before = kinds_of(cls), {}, len(problems)
     defaults = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
-    for name, raw in entries(given, path, kinds, problems).items():
+    for name, raw in entries(table, path, kinds, problems).items():
         count = len(problems)
         value = _read_field(kinds[name], raw, joined(path, name), problems)
         if len(problems) == count:
@@ -581,11 +581,11 @@ def build(cls: type[T], given: object, path: str, problems: Problems) -> T | Non
     missing = [
         name
         for name, one in defaults.items()
-        if (not isinstance(given, Mapping) or name not in given) and default_of(one) is MISSING
+        if (not isinstance(table, Mapping) or name not in table) and default_of(one) is MISSING
     ]
     if missing:
-        if isinstance(given, Mapping):
-            problems.note(path, "only " + ", ".join(given) if given else "nothing", "also " + ", ".join(missing))
+        if isinstance(table, Mapping):
+            problems.note(path, "only " + ", ".join(table) if table else "nothing", "also " + ", ".join(missing))
         return None
     try:
         built = cls(**values)
