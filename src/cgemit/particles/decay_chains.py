@@ -377,16 +377,16 @@ def _decay(name: str, parents: Particles, modes: tuple[Mode, ...], draws: Draws)
     shares = np.cumsum([mode.fraction for mode in modes])
     mode_of = np.searchsorted(shares / shares[-1], draws.uniforms(parents, MODE, 1)[:, 0])
     vertex = parents.vertex + _flight(name, parents, draws)
-    found = []
+    products = []
     for number, mode in enumerate(modes):
         rows = np.flatnonzero(mode_of == number)
-        mine = parents.take(rows)
-        momenta, masses = _momenta(name, mine, mode, draws)
-        momenta = boost(momenta, mine.momentum[:, None, :])
+        decaying = parents.take(rows)
+        momenta, masses = _momenta(name, decaying, mode, draws)
+        momenta = boost(momenta, decaying.momentum[:, None, :])
         for k, product in enumerate(mode.products):
-            node = mine.node * _MOST_PRODUCTS + k + 1
-            found.append((product, Particles(mine.event, node, masses[:, k], momenta[:, k], vertex[rows])))
-    return found
+            node = decaying.node * _MOST_PRODUCTS + k + 1
+            products.append((product, Particles(decaying.event, node, masses[:, k], momenta[:, k], vertex[rows])))
+    return products
 
 
 def _flight(name: str, particles: Particles, draws: Draws) -> Floats:
@@ -417,11 +417,11 @@ def _momenta(name: str, parents: Particles, mode: Mode, draws: Draws) -> tuple[F
         masses = np.stack([_masses(one, u[:, 1 + k]) for k, one in enumerate(mode.products)], axis=1)
         allowed = masses.sum(axis=1) < mass[waiting]
         masses = np.where(allowed[:, None], masses, least)
-        found, weight = phase_space(mass[waiting], masses, u[:, 1 + n :])
-        last = found[:, -1]
+        trial, weight = phase_space(mass[waiting], masses, u[:, 1 + n :])
+        last = trial[:, -1]
         weight *= 1 + mode.alpha * last[:, 2] ** 2 / np.maximum(np.sum(last[:, :3] ** 2, axis=1), 1e-300)
         good = allowed & (u[:, 0] * bound[waiting] < weight)
-        momenta[waiting[good]], drawn[waiting[good]] = found[good], masses[good]
+        momenta[waiting[good]], drawn[waiting[good]] = trial[good], masses[good]
         waiting = waiting[~good]
     raise RuntimeError(f"{name} -> {' '.join(mode.products)}: no momenta after {ATTEMPTS} attempts")
 

@@ -89,12 +89,12 @@ class Guns:
     @property
     def kinds(self) -> frozenset[int] | None:
         """Unsigned PDG numbers of the charged particles that may be shot; None if they are not known."""
-        found: frozenset[int] = frozenset()
+        pdg_numbers: frozenset[int] = frozenset()
         for gun in self.guns:
             if gun.kinds is None:
                 return None
-            found |= gun.kinds
-        return found
+            pdg_numbers |= gun.kinds
+        return pdg_numbers
 
     def __add__(self, other: Source | Guns) -> Guns:
         """Return these sources and another one, or others, together."""
@@ -204,10 +204,10 @@ class Gun(Source):
             object.__setattr__(self, "particle", species(self.particle).name)
         except WrongValueError as error:
             problems.take(error, "particle")
-        for one, other in (("p", "pt"), ("theta", "cos_theta")):
-            if (getattr(self, one) is None) == (getattr(self, other) is None):
-                given = "none" if getattr(self, one) is None else "both"
-                problems.note(f"{one}, {other}", given, "exactly one of them")
+        for name, other in (("p", "pt"), ("theta", "cos_theta")):
+            if (getattr(self, name) is None) == (getattr(self, other) is None):
+                given = "none" if getattr(self, name) is None else "both"
+                problems.note(f"{name}, {other}", given, "exactly one of them")
         check_fields(self, problems)
         if self.pt is not None and not problems:
             _check_across(self, problems)
@@ -275,11 +275,11 @@ def generate(
     guns = gun.guns if isinstance(gun, Guns) else (gun,)
     _check_arguments(guns, n_events, seed, first_event)
     events = np.arange(first_event, first_event + n_events, dtype=np.int64)
-    parts, number = [], 0
-    for one in guns:
-        one = one if detector is None else one.within(detector)
-        parts.append(one.shoot(seed, events, number))
-        number += one.multiplicity
+    parts, first = [], 0
+    for source in guns:
+        source = source if detector is None else source.within(detector)
+        parts.append(source.shoot(seed, events, first))
+        first += source.multiplicity
     for name in {name: None for part in parts for name in part}:  # a column that only some of them have
         for part in parts:
             part.setdefault(name, np.zeros(len(part["event"]), np.int8))
@@ -359,23 +359,23 @@ def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_e
     check_whole("n_events", n_events, 0, 2**31 - 1, problems)
     check_seed(seed, problems)
     check_whole("first_event", first_event, 0, 2**62, problems)
-    for one in guns:
-        if not isinstance(one, Source):
-            problems.note("gun", type(one).__name__, "a Gun")
+    for source in guns:
+        if not isinstance(source, Source):
+            problems.note("gun", type(source).__name__, "a Gun")
     problems.report("generate", ParticleError)
 
 
-def only_kind(source: Source | Guns | None, given: Table | None = None) -> int | None:
+def only_kind(source: Source | Guns | None, particles: Table | None = None) -> int | None:
     """Return the unsigned PDG number of all charged particles of a source, or of given ones; None if they differ.
 
     Parameters
     ----------
     source : Source, Guns or None
-    given : Table of kind "particles", or None
+    particles : Table of kind "particles", or None
     """
     kinds = None if source is None else source.kinds
-    if given is not None:
-        kinds = frozenset(np.unique(np.abs(given["pdg"][given["charge"] != 0])).tolist())
+    if particles is not None:
+        kinds = frozenset(np.unique(np.abs(particles["pdg"][particles["charge"] != 0])).tolist())
     return next(iter(kinds)) if kinds is not None and len(kinds) == 1 else None
 
 

@@ -25,7 +25,7 @@ REFUSED = 3
 _FINAL, _DECAYED = 1, 2  # status of particles that the generator did not let decay, and of those that it did
 
 
-def _rows(event: Any, number: int, mev: bool, cm: bool) -> list[float]:
+def _rows(event: Any, event_number: int, mev: bool, cm: bool) -> list[float]:
     """Return the values of the final and the decayed particles of an event.
 
     The numbers of the event are converted here: `GenEvent.set_units` leaves the position of the event as it is.
@@ -52,7 +52,7 @@ def _rows(event: Any, number: int, mev: bool, cm: bool) -> list[float]:
             continue
         mothers = [] if born is None else born.particles_in
         p = particle.momentum
-        rows += (number, particle.id, particle.pid, status, momentum_unit * particle.generated_mass, *start)
+        rows += (event_number, particle.id, particle.pid, status, momentum_unit * particle.generated_mass, *start)
         rows += (momentum_unit * p.px, momentum_unit * p.py, momentum_unit * p.pz, *end)
         rows.append(mothers[0].id if mothers and mothers[0].id > 0 else -1)
     return rows
@@ -64,19 +64,19 @@ def _write(path: str, out: int) -> None:
 
     pyhepmc: Any = importlib.import_module("pyhepmc")
     with pyhepmc.open(path) as stream:
-        reader, number = stream._reader, 0
+        reader, event_number = stream._reader, 0
         # Iterating over the stream would end at the first event without particles.
         while not reader.failed() and reader.read_event(event := pyhepmc.GenEvent()):
             if reader.failed() and not event.particles:
                 break  # nothing but the end of the file
             mev = event.momentum_unit == pyhepmc.Units.MEV
             cm = event.length_unit == pyhepmc.Units.CM
-            rows = array("d", _rows(event, number, mev, cm))
+            rows = array("d", _rows(event, event_number, mev, cm))
             weights = event.weights
             time = event.event_pos().t * (10.0 if cm else 1.0)
             about = [-1.0, len(event.particles), event.event_number, weights[0] if weights else 1.0, time]
             rows.extend(about + [0.0] * (WIDTH - len(about)))
-            number += 1
+            event_number += 1
             data = memoryview(rows.tobytes())
             while data:
                 data = data[os.write(out, data) :]

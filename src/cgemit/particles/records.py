@@ -125,15 +125,15 @@ def _charge_and_mass(
     columns: Mapping[str, Array], path: Path, charges: Mapping[int, int], used: Array
 ) -> tuple[Array, Array]:
     """Return the charge (int64, e) and mass (GeV/c2) of each particle; warn of unknown ones among those `used`."""
-    pdg, given = columns["pdg"], columns.get("charge")
-    numbers, place = np.unique(pdg, return_inverse=True)
-    found = [charges.get(int(one), charge_of(int(one))) for one in numbers]
-    known = np.array([one is not None for one in found], np.bool_)[place]
-    charge = np.array([one or 0 for one in found], np.int64)[place]
-    usual = np.array([usual_mass(int(one)) for one in numbers], np.float64)[place]
-    if given is not None:  # of a record that has charges
-        from_file = ~np.isin(pdg, [*KNOWN, *charges]) & np.isfinite(given) & (given == np.rint(given))
-        charge, known = np.where(from_file, np.rint(given), charge).astype(np.int64), known | from_file
+    pdg, file_charge = columns["pdg"], columns.get("charge")
+    numbers, row_of = np.unique(pdg, return_inverse=True)
+    charge_of_number = [charges.get(int(one), charge_of(int(one))) for one in numbers]
+    known = np.array([one is not None for one in charge_of_number], np.bool_)[row_of]
+    charge = np.array([one or 0 for one in charge_of_number], np.int64)[row_of]
+    usual = np.array([usual_mass(int(one)) for one in numbers], np.float64)[row_of]
+    if file_charge is not None:  # of a record that has charges
+        from_file = ~np.isin(pdg, [*KNOWN, *charges]) & np.isfinite(file_charge) & (file_charge == np.rint(file_charge))
+        charge, known = np.where(from_file, np.rint(file_charge), charge).astype(np.int64), known | from_file
     mass = np.where(np.isnan(usual), columns["mass"], usual)
     unknown, massless = used & ~known, used & (charge != 0) & ~(mass > 0)
     for rows, what in ((unknown, "charge"), (massless, "mass")):
@@ -185,14 +185,14 @@ def read_hepmc(path: Path) -> Record:
     width = 8 * hepmc_process.WIDTH
     values = np.frombuffer(data[: len(data) - len(data) % width], np.float64).reshape(-1, hepmc_process.WIDTH)
     is_end = values[:, 0] < 0
-    number = int(np.count_nonzero(is_end))
+    n_read = int(np.count_nonzero(is_end))
     if process.returncode != 0:
         refused = process.returncode == hepmc_process.REFUSED
         reason = message.decode(errors="replace").strip() if refused else "pyhepmc ends the process that reads it"
-        _refuse(path, begins[number] if number < len(begins) else None, f"an event that cannot be read ({reason})")
-    if number != len(begins):
-        read = f"{number} of its {len(begins)} events can be read"
-        _refuse(path, begins[number] if number < len(begins) else None, f"an event that cannot be read: {read}")
+        _refuse(path, begins[n_read] if n_read < len(begins) else None, f"an event that cannot be read ({reason})")
+    if n_read != len(begins):
+        read = f"{n_read} of its {len(begins)} events can be read"
+        _refuse(path, begins[n_read] if n_read < len(begins) else None, f"an event that cannot be read: {read}")
     read = values[is_end, 1].astype(np.int64)
     none = np.flatnonzero((read == 0) & (np.asarray(counts) > 0))
     if len(none):
@@ -212,10 +212,10 @@ def read_hepmc(path: Path) -> Record:
     return record_of(values[~is_end], events)
 
 
-def _refuse(path: Path, line: int | str | None, given: str, expected: str = "a complete HepMC file") -> NoReturn:
+def _refuse(path: Path, line: int | str | None, got: str, expected: str = "a complete HepMC file") -> NoReturn:
     """Raise the error about a line or an entry of a file, or the file as a whole."""
     where = f"line {line}" if isinstance(line, int) else line or ""
-    raise ParticleError(str(path), [Problem(where, given, expected)])
+    raise ParticleError(str(path), [Problem(where, got, expected)])
 
 
 def _events_of(path: Path) -> tuple[array[int], array[int]]:
@@ -228,26 +228,26 @@ def _events_of(path: Path) -> tuple[array[int], array[int]]:
         most = f"{_MOST_UNPACKED / 1e6:.0f} MB"
         _refuse(path, None, f"more than {most} unpacked", f"at most {most}: split it, or unpack it before")
     begins, counts, event = array("q"), array("q"), _Event(path)
-    marked, ended, number = False, False, 0
+    marked, ended, line_number = False, False, 0
     try:
         with _PACKED[path.suffix](path, "rb") if path.suffix in _PACKED else path.open("rb") as stream:
             while line := stream.readline(_LONGEST_LINE):
-                number += 1
+                line_number += 1
                 if len(line) == _LONGEST_LINE:
-                    _refuse(path, number, f"a line of more than {_LONGEST_LINE} bytes")
+                    _refuse(path, line_number, f"a line of more than {_LONGEST_LINE} bytes")
                 key = line[:2]
                 if key == b"P ":
                     event.particles += 1
                 elif key == b"V ":
-                    event.vertex(number, line)
+                    event.vertex(line_number, line)
                 elif key == b"E ":
                     if begins:
-                        event.end(number)
+                        event.end(line_number)
                         counts.append(event.particles)
-                    begins.append(number)
-                    event.begin(number, line)
+                    begins.append(line_number)
+                    event.begin(line_number, line)
                 elif key == b"U ":
-                    event.units(number, line)
+                    event.units(line_number, line)
                 elif line.startswith(b"HepMC::"):
                     marked = marked or b"START_EVENT_LISTING" in line
                     event.is_old = event.is_old or b"IO_GenEvent-START" in line
@@ -258,9 +258,9 @@ def _events_of(path: Path) -> tuple[array[int], array[int]]:
         _refuse(path, None, str(error))
     if not marked or not ended:
         what = "a last line that does not end the list of events" if marked else "no beginning of a list of events"
-        _refuse(path, number if marked else None, what)
+        _refuse(path, line_number if marked else None, what)
     if begins:
-        event.end(number)
+        event.end(line_number)
         counts.append(event.particles)
     return begins, counts
 
@@ -274,48 +274,48 @@ class _Event:
         self.expected: list[int] = []  # particles; in HepMC2 also vertices
         self.has_units = True
 
-    def begin(self, number: int, line: bytes) -> None:
+    def begin(self, line_number: int, line: bytes) -> None:
         words = line.split()
-        self.first, self.vertices, self.particles, self.has_units = number, 0, 0, False
+        self.first, self.vertices, self.particles, self.has_units = line_number, 0, 0, False
         # E event vertices particles, or E event interactions scale alpha alpha process signal vertices ...
-        found = self._whole(number, words, (8,) if self.is_old else (3,))
-        self.expected = [0, *found] if self.is_old else found
+        counts = self._whole(line_number, words, (8,) if self.is_old else (3,))
+        self.expected = [0, *counts] if self.is_old else counts
 
-    def vertex(self, number: int, line: bytes) -> None:
+    def vertex(self, line_number: int, line: bytes) -> None:
         self.vertices += 1
         if self.is_old and self.first:
             # V number id x y z ct orphans outgoing weights: their particles follow before the next vertex.
-            self._check(number, "particles", self.particles, self.expected[0])
-            self.expected[0] += sum(self._whole(number, line.split(), (7, 8)))
+            self._check(line_number, "particles", self.particles, self.expected[0])
+            self.expected[0] += sum(self._whole(line_number, line.split(), (7, 8)))
 
-    def units(self, number: int, line: bytes) -> None:
+    def units(self, line_number: int, line: bytes) -> None:
         words = line.split()[1:]
         if tuple(words) not in _UNITS:
             text = line.decode("ascii", "replace").strip()
-            _refuse(self.path, number, f"the units {text!r:.50}", "GEV or MEV, then MM or CM")
+            _refuse(self.path, line_number, f"the units {text!r:.50}", "GEV or MEV, then MM or CM")
         self.has_units = True
 
-    def end(self, number: int) -> None:
+    def end(self, line_number: int) -> None:
         """Refuse an event that ends before a line, and is not complete."""
         if not self.has_units:
             _refuse(self.path, self.first, "an event that does not name its units", "a U line")
-        self._check(number, "particles", self.particles, self.expected[0])
+        self._check(line_number, "particles", self.particles, self.expected[0])
         if self.is_old:
-            self._check(number, "vertices", self.vertices, self.expected[1])
+            self._check(line_number, "vertices", self.vertices, self.expected[1])
 
-    def _check(self, number: int, what: str, found: int, expected: int) -> None:
-        if found != expected:
-            event = f"{found} {what} of the event that begins in line {self.first}"
-            _refuse(self.path, number, f"{event}, before this line", f"{expected}, as announced")
+    def _check(self, line_number: int, what: str, count: int, expected: int) -> None:
+        if count != expected:
+            event = f"{count} {what} of the event that begins in line {self.first}"
+            _refuse(self.path, line_number, f"{event}, before this line", f"{expected}, as announced")
 
-    def _whole(self, number: int, words: list[bytes], places: tuple[int, ...]) -> list[int]:
+    def _whole(self, line_number: int, words: list[bytes], places: tuple[int, ...]) -> list[int]:
         """Return numbers of a line that count something."""
-        found = [int(words[i]) for i in places if i < len(words) and words[i].isdigit()]
-        if len(found) != len(places):
+        numbers = [int(words[i]) for i in places if i < len(words) and words[i].isdigit()]
+        if len(numbers) != len(places):
             text = b" ".join(words).decode("ascii", "replace")
             names = " and ".join(str(i + 1) for i in places)
-            _refuse(self.path, number, f"{text!r:.60}", f"a whole number in column {names}")
-        return found
+            _refuse(self.path, line_number, f"{text!r:.60}", f"a whole number in column {names}")
+        return numbers
 
 
 def _unpacks_to_too_much(path: Path) -> bool:
@@ -344,9 +344,9 @@ def read_hepmc_root(path: Path) -> Record:
     corners = [_lists(path, tree, f"vertices.position.m_v{k}") for k in (1, 2, 3, 4)]
     firsts, seconds = (_lists(path, tree, name) for name in ("links1", "links2"))
     weights = _lists(path, tree, "weights")
-    number, momentum_unit, length_unit = (_values(path, tree, key) for key in _HEPMC_EVENT)
+    event_number, momentum_unit, length_unit = (_values(path, tree, key) for key in _HEPMC_EVENT)
     positions = [_values(path, tree, f"event_pos.m_v{k}") for k in (1, 2, 3, 4)]
-    made: list[Array] = []
+    blocks: list[Array] = []
     for i in range(tree.num_entries):
         n = len(pid[i])
         scale = _LENGTHS.get(int(length_unit[i]))
@@ -366,11 +366,11 @@ def read_hepmc_root(path: Path) -> Record:
         for k in range(3):
             rows[:, 9 + k] = momenta[k][i] * gev
         rows[:, 12:16], rows[:, 16] = end, mother
-        made.append(rows)
-    table = np.concatenate(made) if made else np.empty((0, len(_COLUMNS)))
+        blocks.append(rows)
+    table = np.concatenate(blocks) if blocks else np.empty((0, len(_COLUMNS)))
     times = positions[3] * np.array([_LENGTHS[int(unit)] for unit in length_unit]) / LIGHT
     first_weights = np.array([float(one[0]) if len(one) else 1.0 for one in weights])
-    return record_of(table, {"number": number, "weight": first_weights, "time": times})
+    return record_of(table, {"number": event_number, "weight": first_weights, "time": times})
 
 
 _HEPMC_EVENT = ("event_number", "momentum_unit", "length_unit")
@@ -434,10 +434,10 @@ def read_edm4hep(path: Path) -> Record:
         If the file is damaged, or lacks a branch.
     """
     tree = _tree(path, "events")
-    found = _collections(tree)
-    collection = "MCParticles" if "MCParticles" in found else found[0]
-    if collection != "MCParticles" and len(found) > 1:
-        _refuse(path, None, f"collections of particles {', '.join(found)}", "one, or one of the name MCParticles")
+    collections = _collections(tree)
+    collection = "MCParticles" if "MCParticles" in collections else collections[0]
+    if collection != "MCParticles" and len(collections) > 1:
+        _refuse(path, None, f"collections of particles {', '.join(collections)}", "one, or one of the name MCParticles")
 
     def read(name: str) -> tuple[Array, Array]:
         lists = _lists(path, tree, f"{collection}.{name}")

@@ -118,12 +118,12 @@ class EventSample(Source):
         problems = Problems()
         defaults = DEFINITIONS[self.name].options
         for name, constraint in _OPTIONS.items():
-            given = getattr(self, name)
+            stated = getattr(self, name)
             if name in defaults:
-                value = constraint.read(name, defaults[name] if given is None else given, problems)
+                value = constraint.read(name, defaults[name] if stated is None else stated, problems)
                 object.__setattr__(self, name, value)
-            elif given is not None:
-                problems.note(name, f"{given!r:.50}", f"none, this sample has {', '.join(defaults)}")
+            elif stated is not None:
+                problems.note(name, f"{stated!r:.50}", f"none, this sample has {', '.join(defaults)}")
         problems.report(f"sample {self.name}", ParticleError)
 
     @property
@@ -189,11 +189,11 @@ class EventSample(Source):
         return _columns(decay_all(first, definition.modes, draws), number)
 
     def _first(
-        self, name: str, place: int, events: npt.NDArray[np.int64], draws: Draws, matter: Matter | None
+        self, name: str, node: int, events: npt.NDArray[np.int64], draws: Draws, matter: Matter | None
     ) -> Particles:
         """Return the first particles of the events, one each."""
         n, mass = len(events), mass_of(name)
-        start = Particles(events, place, np.full(n, mass), np.zeros((n, 4)), np.zeros((n, 3)))
+        start = Particles(events, node, np.full(n, mass), np.zeros((n, 4)), np.zeros((n, 3)))
         vertex, u = _vertex(self, start, draws), draws.uniforms(start, SHOT, 3)
         if matter is not None:
             vertex = vertex + matter.points(draws.uniforms(start, SHOT + 4, 4))
@@ -268,9 +268,9 @@ def sample(name: str, **options: Any) -> EventSample:
     return EventSample(name, **options)
 
 
-def _columns(found: dict[str, list[Particles]], number: int) -> dict[str, Array]:
+def _columns(by_species: dict[str, list[Particles]], first: int) -> dict[str, Array]:
     """Return the columns of a particles table; particles of an event are numbered in the order of the chain."""
-    groups = [(species(name), one) for name, several in found.items() for one in several]
+    groups = [(species(name), one) for name, several in by_species.items() for one in several]
 
     def joined(values: list[Any], dtype: str) -> Array:
         return np.concatenate(
@@ -281,7 +281,7 @@ def _columns(found: dict[str, list[Particles]], number: int) -> dict[str, Array]
     order = np.lexsort((node, event))
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order)) - np.searchsorted(event[order], event[order])
-    columns = {"event": event, "particle": (number + rank).astype(np.int32)}
+    columns = {"event": event, "particle": (first + rank).astype(np.int32)}
     for name, dtype in (("pdg", "i4"), ("charge", "i1"), ("mass", "f8")):
         columns[name] = joined([getattr(kind, name) for kind, _ in groups], dtype)
     for i, name in enumerate("xyz"):
@@ -306,14 +306,14 @@ def _cosmic(of: EventSample, events: npt.NDArray[np.int64], draws: Draws) -> dic
     vertex, energy = _vertex(of, lower, draws), np.hypot(p, mass_of("mu-"))
     down, up = (np.concatenate([sign * flight, energy[:, None]], axis=1) for sign in (1, -1))
     positive = u[:, 3] < _POSITIVE
-    found = {}
+    halves = {}
     for name, is_lower in (("mu+", positive), ("mu-", ~positive)):
-        rows, others = np.flatnonzero(is_lower), np.flatnonzero(~is_lower)
-        found[name] = [
+        rows, other_rows = np.flatnonzero(is_lower), np.flatnonzero(~is_lower)
+        halves[name] = [
             Particles(events[rows], 2, lower.mass[rows], down[rows], vertex[rows]),
-            Particles(events[others], 1, lower.mass[others], up[others], vertex[others]),
+            Particles(events[other_rows], 1, lower.mass[other_rows], up[other_rows], vertex[other_rows]),
         ]
-    return found
+    return halves
 
 
 def _vertex(of: EventSample, start: Particles, draws: Draws) -> Floats:

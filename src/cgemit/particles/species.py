@@ -108,11 +108,11 @@ def species(particle: str | int) -> Species:
     WrongValueError
         If there is no such particle; says which name is close.
     """
-    given = particle
+    name = particle
     if isinstance(particle, str):
         word = _plain(particle)
         if word in _BOTH_CHARGES:
-            raise WrongValueError(repr(given), f"a charge too: {_BOTH_CHARGES[word]}")
+            raise WrongValueError(repr(name), f"a charge too: {_BOTH_CHARGES[word]}")
         number = particle.strip()
         particle = int(number) if number.removeprefix("-").isdecimal() else _BY_SPELLING.get(word, 0)
     known = isinstance(particle, int | np.integer) and not isinstance(particle, bool) and int(particle) in KNOWN
@@ -120,8 +120,8 @@ def species(particle: str | int) -> Species:
         return KNOWN[int(particle)]
     names = ", ".join(f"{KNOWN[pdg].name} ({pdg})" for pdg in _SPELLINGS)
     names += f", or another of the {len(KNOWN)} in cgemit/particles/particles.csv"
-    hint = did_you_mean(_plain(given), _BY_SPELLING) if isinstance(given, str) else ""
-    raise WrongValueError(f"{given!r:.80}", f"one of {names}", hint)
+    hint = did_you_mean(_plain(name), _BY_SPELLING) if isinstance(name, str) else ""
+    raise WrongValueError(f"{name!r:.80}", f"one of {names}", hint)
 
 
 def hypothesis_of(name: str) -> Species:
@@ -195,31 +195,31 @@ def charge_of(pdg: int) -> int | None:
     """
     if pdg in KNOWN:
         return KNOWN[pdg].charge
-    number, sign = abs(pdg), 1 if pdg > 0 else -1
+    unsigned, sign = abs(pdg), 1 if pdg > 0 else -1
     if is_nucleus(pdg):
-        return sign * (number // 10_000 % 1000)
-    thirds = _LEFT_RIGHT.get(number)
-    if thirds is None and number < 100:
-        thirds = _FUNDAMENTAL.get(number)
-    elif thirds is None and number // 100_000 in _PARTNERS and number % 100_000 < 100:
-        partner = number % 100_000
+        return sign * (unsigned // 10_000 % 1000)
+    thirds = _LEFT_RIGHT.get(unsigned)
+    if thirds is None and unsigned < 100:
+        thirds = _FUNDAMENTAL.get(unsigned)
+    elif thirds is None and unsigned // 100_000 in _PARTNERS and unsigned % 100_000 < 100:
+        partner = unsigned % 100_000
         thirds = _QUARKS.get(partner, _FUNDAMENTAL.get(partner))
-    elif thirds is None and (number < 1_000_000 or 9_000_000 <= number < 9_900_000):
-        thirds = _thirds_of_hadron(number)
+    elif thirds is None and (unsigned < 1_000_000 or 9_000_000 <= unsigned < 9_900_000):
+        thirds = _thirds_of_hadron(unsigned)
     return sign * thirds // 3 if thirds is not None and thirds % 3 == 0 else None
 
 
-def _thirds_of_hadron(number: int) -> int | None:
+def _thirds_of_hadron(unsigned: int) -> int | None:
     """Return the charge of a meson or baryon in thirds of e by the digits of its quarks; None for other numbers."""
-    first, second, third, spin = (number // 10**k % 10 for k in (3, 2, 1, 0))
-    if (third == 0 or spin == 0) and number not in (130, 310):
+    first, second, third, spin = (unsigned // 10**k % 10 for k in (3, 2, 1, 0))
+    if (third == 0 or spin == 0) and unsigned not in (130, 310):
         return None
     if first == 0:  # a quark and an antiquark; the heavier one is the antiquark if it is of the lower type
         if second not in _QUARKS or third not in _QUARKS:
             return None
         thirds = _QUARKS[second] - _QUARKS[third]
         return thirds if second % 2 == 0 else -thirds
-    if number >= 9_000_000 or not {first, second, third} <= _QUARKS.keys():
+    if unsigned >= 9_000_000 or not {first, second, third} <= _QUARKS.keys():
         return None  # nine and three quarks: a pentaquark
     return _QUARKS[first] + _QUARKS[second] + _QUARKS[third]
 
@@ -237,10 +237,10 @@ def nuclear_mass(pdg: int) -> float:
     ----------
     pdg : int
     """
-    number = abs(pdg)
-    if number in KNOWN:
-        return KNOWN[number].mass
-    a, z, hyperons = number // 10 % 1000, number // 10_000 % 1000, number // 10_000_000 % 10
+    unsigned = abs(pdg)
+    if unsigned in KNOWN:
+        return KNOWN[unsigned].mass
+    a, z, hyperons = unsigned // 10 % 1000, unsigned // 10_000 % 1000, unsigned // 10_000_000 % 10
     if not hyperons and (z, a) == (1, 1):
         return _NUCLEON[1]
     n = a - z - hyperons
@@ -293,16 +293,16 @@ def _modes() -> dict[int, tuple[DecayMode, ...]]:
     """Read ``decays.csv``; both charges of each particle."""
     text = (resources.files("cgemit.particles") / "decays.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
-    found: dict[int, tuple[DecayMode, ...]] = {}
+    modes: dict[int, tuple[DecayMode, ...]] = {}
     for pdg in dict.fromkeys(int(row["pdg"]) for row in rows):
-        mine = [row for row in rows if int(row["pdg"]) == pdg]
-        total = sum(float(row["fraction"]) for row in mine)
+        own_rows = [row for row in rows if int(row["pdg"]) == pdg]
+        total = sum(float(row["fraction"]) for row in own_rows)
         for sign in (1, -1):
-            found[sign * pdg] = tuple(
+            modes[sign * pdg] = tuple(
                 DecayMode(float(row["fraction"]) / total, _spectrum(row["spectrum"]), _products(row["products"], sign))
-                for row in mine
+                for row in own_rows
             )
-    return found
+    return modes
 
 
 def _spectrum(name: str) -> Spectrum:

@@ -124,7 +124,7 @@ def read_particles(
     -------
     Given
     """
-    charges, given, numbers = _checked_charges(charges), n_events, None
+    charges, asked_events, numbers = _checked_charges(charges), n_events, None
     if isinstance(source, str | os.PathLike):
         source, numbers = _from_file(Path(source), charges)
         n_events = len(numbers["number"]) if numbers is not None and n_events is None else n_events
@@ -132,7 +132,7 @@ def read_particles(
         source, n_events = _from_lists(source, n_events)
     if type(source).__module__.partition(".")[0] == "awkward":  # of a file
         source, n_events = _from_lists(source, n_events)
-    counted = n_events is not given  # from 0, with events that have no particles
+    counted = n_events is not asked_events  # from 0, with events that have no particles
     columns = _in_native_units(_columns(source), units)
     problems = _missing(columns) or _problems(columns, charges)
     problems.report("table of particles", ParticleError)
@@ -149,17 +149,17 @@ def read_particles(
     if "particle" not in columns:
         columns["particle"] = np.arange(len(event)) - np.searchsorted(event, event)
     first = first_event if first_event is not None else int(event[0]) if len(event) else 0
-    number = n_events if n_events is not None else int(event[-1]) + 1 - first if len(event) else 0
+    n = n_events if n_events is not None else int(event[-1]) + 1 - first if len(event) else 0
     try:
-        made = Table("particles", _filled(columns, charges), number, first, events=gaps)
+        table = Table("particles", _filled(columns, charges), n, first, events=gaps)
     except ValueError as error:
         raise ParticleError("table of particles", [Problem("", str(error), "")]) from error
-    _tell_not_transported(made)
+    _tell_not_transported(table)
     if numbers is None:
-        return Given(made, None)
-    rows = np.arange(first, first + number)
+        return Given(table, None)
+    rows = np.arange(first, first + n)
     values = {name: column[rows] for name, column in numbers.items()}
-    return Given(made, Table("events", {"event": rows, **values}, number, first))
+    return Given(table, Table("events", {"event": rows, **values}, n, first))
 
 
 def _checked_charges(charges: Mapping[int, int] | None) -> Mapping[int, int]:
@@ -223,9 +223,9 @@ _REFUSED_ENDINGS = {
 
 def _from_file(path: Path, charges: Mapping[int, int]) -> tuple[Any, dict[str, Array] | None]:
     """Return the columns or the table of a file, and the columns of its events if it is a record."""
-    for endings, (given, expected) in _REFUSED_ENDINGS.items():
+    for endings, (got, expected) in _REFUSED_ENDINGS.items():
         if path.name.lower().endswith(endings):
-            raise ParticleError(str(path), [Problem("", given, expected)])
+            raise ParticleError(str(path), [Problem("", got, expected)])
     kind = "hepmc text" if path.name.endswith(ENDINGS) else path.suffix
     if kind == ".root":
         kind = kind_of_root(path)
@@ -264,10 +264,10 @@ def _numbers_of(path: Path, columns: Mapping[str, Array]) -> dict[str, Array]:
     names = {_name_and_unit(name)[0] for name in numbers}
     missing = [name for name in _NEEDED if name not in names]
     if missing:
-        found = ", ".join(list(numbers)[:20]) or "none"
+        columns_there = ", ".join(list(numbers)[:20]) or "none"
         expected = f"the columns {', '.join(_NEEDED)} of one number a row (x, y, z, charge, mass, time are optional)"
         _refuse_plain(
-            path, [Problem("", f"no column {', '.join(missing)} among columns of numbers: {found}", expected)]
+            path, [Problem("", f"no column {', '.join(missing)} among columns of numbers: {columns_there}", expected)]
         )
     if left := [name for name in columns if name not in numbers]:
         warnings.warn(f"{path}: columns without one number a row are left out: {', '.join(left)}", stacklevel=5)
@@ -310,11 +310,11 @@ def _read_tree(path: Path) -> Any:
                 warnings.warn(f"{path}: branches that mean nothing here are left out: {', '.join(left)}", stacklevel=5)
             flat = [name for name in wanted if depth[name] == 1]
             return _numbers_of(path, {name: arrays[name].to_numpy() for name in flat})
-        found = "; ".join(
+        trees_there = "; ".join(
             f"{name.partition(';')[0]} with {', '.join(tree.keys()[:20])}" for name, tree in trees.items()
         )
         expected = f"a tree with the branches {', '.join(_NEEDED)}, or an event record of HepMC3 or EDM4hep"
-        _refuse_plain(path, [Problem("", f"trees: {found or 'none'}", expected)])
+        _refuse_plain(path, [Problem("", f"trees: {trees_there or 'none'}", expected)])
 
 
 def _read_csv(path: Path) -> dict[str, Array]:
@@ -374,12 +374,12 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 
 def _in_native_units(columns: Mapping[str, Array], units: Mapping[str, str] | None) -> dict[str, Array]:
     """Return columns without units in their names, in GeV, mm and ns."""
-    problems, out, given = Problems(), {}, dict(units or {})
+    problems, out, units_of = Problems(), {}, dict(units or {})
     for header, column in columns.items():
         name, unit = _name_and_unit(header)
         if name in out:
             problems.note(header, "a second column of this name", "one")
-        other = given.pop(name, "")
+        other = units_of.pop(name, "")
         if unit and other and unit != other:
             problems.note(f"units[{name!r}]", repr(other), f"{unit!r}, as the name of the column says")
         unit = unit or other
@@ -399,7 +399,7 @@ def _in_native_units(columns: Mapping[str, Array], units: Mapping[str, str] | No
             continue
         if factor != 1:
             out[name] = column * factor if column.ndim == 1 and column.dtype.kind in "iufb" else column
-    for name, unit in given.items():
+    for name, unit in units_of.items():
         problems.note(f"units[{name!r}]", repr(unit), f"a unit of one of the columns {', '.join(out)}")
     problems.report("table of particles", ParticleError)
     return out
@@ -560,13 +560,13 @@ def _repeated(event: Array, particle: Array) -> npt.NDArray[np.bool_]:
 
 def _charge_and_mass(pdg: Array, charges: Mapping[int, int]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """Return charge (e) and mass (GeV/c2) of each PDG number, 0 where unknown, and whether it tells the charge."""
-    numbers, place = np.unique(pdg, return_inverse=True)
+    numbers, row_of = np.unique(pdg, return_inverse=True)
     whole = [int(number) if np.isfinite(number) else 0 for number in numbers]
-    found = [charges.get(number, charge_of(number)) for number in whole]
-    charge = np.array([one or 0 for one in found], np.int16)
+    charge_of_number = [charges.get(number, charge_of(number)) for number in whole]
+    charge = np.array([one or 0 for one in charge_of_number], np.int16)
     masses = np.nan_to_num([usual_mass(number) for number in whole])
     return (
-        charge[place],
-        masses[place],
-        np.array([one is not None for one in found], np.bool_)[place],
+        charge[row_of],
+        masses[row_of],
+        np.array([one is not None for one in charge_of_number], np.bool_)[row_of],
     )
