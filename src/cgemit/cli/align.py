@@ -92,9 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
         priors=tuple(arguments.prior), zero_modes=arguments.zero_modes, plates=arguments.plates,
         pairs=pairs, mass=arguments.mass, mass_width=arguments.mass_width,
     )  # fmt: skip
-    found: Alignment | AlignmentForecast
+    outcome: Alignment | AlignmentForecast
     if arguments.forecast:
-        found = _forecast(arguments, settings)
+        outcome = _forecast(arguments, settings)
     else:
         if not arguments.runs or arguments.muons or arguments.cosmics:
             raise ValueError(
@@ -103,15 +103,15 @@ def run(arguments: argparse.Namespace) -> int:
         runs = [Result.load(folder) for folder in arguments.runs]
         if arguments.mille:
             write_mille(arguments.mille, runs, settings, detector=arguments.detector, overwrite=arguments.overwrite)
-        found = align(runs, settings, detector=arguments.detector)
-    report = _report(found, settings, arguments)
+        outcome = align(runs, settings, detector=arguments.detector)
+    report = _report(outcome, settings, arguments)
     text = json.dumps(report, indent=2, allow_nan=False)
     if arguments.output:
-        _write(found, text, arguments.output, overwrite=arguments.overwrite)
-    options.say(text if arguments.json else found)
+        _write(outcome, text, arguments.output, overwrite=arguments.overwrite)
+    options.say(text if arguments.json else outcome)
     if arguments.output:
         options.note(arguments, f"table, report and pictures: {arguments.output}")
-    if isinstance(found, Alignment) and not found.converged:
+    if isinstance(outcome, Alignment) and not outcome.converged:
         raise options.RunFailedError("the alignment has not converged")
     return options.OK
 
@@ -133,31 +133,31 @@ def _forecast(arguments: argparse.Namespace, settings: AlignmentSettings) -> Ali
 
 
 def _report(
-    found: Alignment | AlignmentForecast, settings: AlignmentSettings, arguments: argparse.Namespace
+    outcome: Alignment | AlignmentForecast, settings: AlignmentSettings, arguments: argparse.Namespace
 ) -> dict[str, Any]:
     from cgemit.calibration.align import Alignment
 
-    modes = found.modes(5)
+    modes = outcome.modes(5)
     report: dict[str, Any] = {
         "version": __version__, "command": arguments.line, "settings": settings.to_dict(),
         "constants": [
-            dict(zip(found.table.columns(), map(_plain, row), strict=True))
-            for row in zip(*found.table.columns().values(), strict=True)
+            dict(zip(outcome.table.columns(), map(_plain, row), strict=True))
+            for row in zip(*outcome.table.columns().values(), strict=True)
         ],
-        "not_determined": list(found.zero_modes),
+        "not_determined": list(outcome.zero_modes),
         "weak_modes": [
             {"name": name, "share": share, "error_mm": _plain(size)}
             for name, share, size in zip(modes.names, modes.shares, modes.sizes, strict=True)
         ],
     }  # fmt: skip
-    if isinstance(found, Alignment):
+    if isinstance(outcome, Alignment):
         report |= {
-            "detector": found.detector.name, "converged": found.converged, "at_limits": list(found.at_limits),
-            "chi2_gained": found.improvement, "p_value": found.p_value,
-            "history": [vars(one) for one in found.history],
+            "detector": outcome.detector.name, "converged": outcome.converged, "at_limits": list(outcome.at_limits),
+            "chi2_gained": outcome.improvement, "p_value": outcome.p_value,
+            "history": [vars(one) for one in outcome.history],
         }  # fmt: skip
     else:
-        report |= {"detector": found.detector.name, "tracks": found.sums.tracks}
+        report |= {"detector": outcome.detector.name, "tracks": outcome.sums.tracks}
     return report
 
 
@@ -166,16 +166,16 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not abs(value) < float("inf") else value
 
 
-def _write(found: Alignment | AlignmentForecast, text: str, folder: str, *, overwrite: bool) -> None:
+def _write(outcome: Alignment | AlignmentForecast, text: str, folder: str, *, overwrite: bool) -> None:
     from cgemit.base.files import new_folder
     from cgemit.calibration.align import Alignment
     from cgemit.draw.alignment import draw_constants, draw_modes, draw_residual_means
 
-    with new_folder(Path(folder), overwrite=overwrite) as made:
-        found.table.save(made / "alignment.csv")
-        (made / "report.json").write_text(text + "\n", encoding="utf-8")
-        draw_constants(found).save(made / "constants")
-        draw_modes(found).save(made / "modes")
-        if isinstance(found, Alignment):
-            (made / "detector.toml").write_text(found.detector.to_toml(), encoding="utf-8")
-            draw_residual_means(found).save(made / "residuals")
+    with new_folder(Path(folder), overwrite=overwrite) as results:
+        outcome.table.save(results / "alignment.csv")
+        (results / "report.json").write_text(text + "\n", encoding="utf-8")
+        draw_constants(outcome).save(results / "constants")
+        draw_modes(outcome).save(results / "modes")
+        if isinstance(outcome, Alignment):
+            (results / "detector.toml").write_text(outcome.detector.to_toml(), encoding="utf-8")
+            draw_residual_means(outcome).save(results / "residuals")

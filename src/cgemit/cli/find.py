@@ -84,47 +84,51 @@ def run(arguments: argparse.Namespace) -> int:
             progress=progress,
             workers=arguments.threads,
         )
-    found = finding(result)
+    result_of_finding = finding(result)
     linked = loop_links(result) if links else None
     seconds = result.timings["find"]
-    about = {
+    report = {
         "version": __version__, "command": arguments.line, "detector": detector.name, "events": arguments.events,
         "seed": arguments.seed, "settings": settings.to_dict(),
         "time_per_event": {"value": 1e3 * seconds / arguments.events, "unit": "ms"},
         "beyond_search": result.beyond_search(),
-        **numbers_of(found), **({} if linked is None else {"loops": loop_numbers(linked)}),
+        **numbers_of(result_of_finding), **({} if linked is None else {"loops": loop_numbers(linked)}),
     }  # fmt: skip
-    text = json.dumps(about, indent=2, allow_nan=False)
+    text = json.dumps(report, indent=2, allow_nan=False)
     if arguments.output:
-        _write(found, text, arguments.output, overwrite=arguments.overwrite)
+        _write(result_of_finding, text, arguments.output, overwrite=arguments.overwrite)
     rows = [] if linked is None else linked.rows()
     missing = seedless(result.fit_detector or result.detector, settings.find) if result.finder == "ckf" else ""
     rows += [("layers without seeds", missing)] * bool(missing)
     rows.append(("events beyond the search", f"{result.beyond_search():,}"))
     rows.append(("time of an event", f"{1e3 * seconds / arguments.events:.2f} ms"))
-    options.say(text if arguments.json else "\n".join([repr(found), *(f"  {name:<48}{value}" for name, value in rows)]))
+    options.say(
+        text
+        if arguments.json
+        else "\n".join([repr(result_of_finding), *(f"  {name:<48}{value}" for name, value in rows)])
+    )
     if arguments.output:
         options.note(arguments, f"picture: {arguments.output}/efficiency.png")
     return options.OK
 
 
-def numbers_of(found: Finding) -> dict[str, Any]:
+def numbers_of(finding: Finding) -> dict[str, Any]:
     """Return the results as plain numbers; fractions with their Wilson intervals."""
     from cgemit.analysis.widths import Fraction
 
-    findable = Fraction(int(found.findable.sum()), int(found.charged.sum()))
+    findable = Fraction(int(finding.findable.sum()), int(finding.charged.sum()))
     numbers: dict[str, Any] = {
-        "finder": found.finder, "mass": found.mass, "findable": _plain(findable), "removed": dict(found.removed),
-        "seedless": int(found.seedless.sum()),
+        "finder": finding.finder, "mass": finding.mass, "findable": _plain(findable), "removed": dict(finding.removed),
+        "seedless": int(finding.seedless.sum()),
     }  # fmt: skip
     for definition in ("belle2", "acts"):
-        rates = found.rates(definition)
+        rates = finding.rates(definition)
         numbers[definition] = {
             name: _plain(getattr(rates, name))
             for name in ("efficiency", "fakes", "clones", "decays", "loops", "short", "wrong_z")
         }
     for name in ("purity", "hit_efficiency"):
-        value = getattr(found, name)
+        value = getattr(finding, name)
         numbers[name] = value if value == value else None
     return numbers
 
@@ -140,7 +144,7 @@ def _plain(fraction: Fraction) -> dict[str, Any]:
     return {"count": fraction.count, "n": fraction.n, **value}
 
 
-def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
+def _write(finding: Finding, text: str, folder: str, *, overwrite: bool) -> None:
     import numpy as np
 
     from cgemit.analysis.finding import curve
@@ -148,29 +152,29 @@ def _write(found: Finding, text: str, folder: str, *, overwrite: bool) -> None:
     from cgemit.draw.curves import draw_finding
     from cgemit.tables.show import write_csv
 
-    curves = {name: curve(found, name, edges) for name, edges in _edges(found).items()}
+    curves = {name: curve(finding, name, edges) for name, edges in _edges(finding).items()}
     bins = [len(one["low"]) for one in curves.values()]
     columns = {"quantity": np.repeat(list(curves), bins)}
     columns |= {name: np.concatenate([one[name] for one in curves.values()]) for name in next(iter(curves.values()))}
-    rates = found.rates()
+    rates = finding.rates()
     lines = [f"efficiency {rates.efficiency}", f"fakes {rates.fakes.count}", f"clones {rates.clones.count}"]
     lines += [f"cut short {rates.short.count}", f"wrong in z {rates.wrong_z.count}"]
-    lines += [f"hit purity {100 * found.purity:.2f} %", f"hit efficiency {100 * found.hit_efficiency:.2f} %"]
-    with new_folder(folder, overwrite=overwrite) as place:
-        title = f"{found.detector}, finder {found.finder}, findable particles, Belle II matching"
-        draw_finding(curves, title, lines).save(Path(place) / "efficiency")
-        write_csv(Path(place) / "efficiency.csv", columns)
-        (Path(place) / SUMMARY).write_text(text + "\n", encoding="utf-8")
+    lines += [f"hit purity {100 * finding.purity:.2f} %", f"hit efficiency {100 * finding.hit_efficiency:.2f} %"]
+    with new_folder(folder, overwrite=overwrite) as temporary:
+        title = f"{finding.detector}, finder {finding.finder}, findable particles, Belle II matching"
+        draw_finding(curves, title, lines).save(Path(temporary) / "efficiency")
+        write_csv(Path(temporary) / "efficiency.csv", columns)
+        (Path(temporary) / SUMMARY).write_text(text + "\n", encoding="utf-8")
 
 
-def _edges(found: Finding) -> dict[str, Any]:
+def _edges(finding: Finding) -> dict[str, Any]:
     """Return the edges of bins of each quantity: the first three always, the others where they vary."""
     import numpy as np
 
-    values = {name: getattr(found, name)[found.charged] for name in ("pt", "cos_theta", "occupancy", "distance")}
+    values = {name: getattr(finding, name)[finding.charged] for name in ("pt", "cos_theta", "occupancy", "distance")}
     edges = {name: _equal_bins(one) for name, one in values.items()}
     edges["phi"] = _equal_bins(np.array([-np.pi, np.pi]))
-    tracks = found.tracks[found.findable]
+    tracks = finding.tracks[finding.findable]
     if len(np.unique(tracks)) > 1:
         step = -(-int(np.ptp(tracks) + 1) // _BINS)  # whole numbers in each bin
         edges["tracks"] = np.arange(tracks.min() - 0.5, tracks.max() + 0.5 + step, step)

@@ -56,10 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
     check_free(arguments.output, overwrite=arguments.overwrite)
     path = Path(arguments.file)
     if path.is_dir():
-        given = [f"--{name}" for name, of in _OF_FILES.items() if getattr(arguments, of)]
-        if given:
+        flags = [f"--{name}" for name, of in _OF_FILES.items() if getattr(arguments, of)]
+        if flags:
             raise options.InputError(
-                f"{', '.join(given)}: got the folder of a run, which has its own; expected a .raw, .rec or .rtraw file"
+                f"{', '.join(flags)}: got the folder of a run, which has its own; expected a .raw, .rec or .rtraw file"
             )
         result = open_run(path)
         title = f"{path.name}: {result.n_events} events, {result.detector.name}"

@@ -81,9 +81,9 @@ def _report(result: Optimization, output: Path, arguments: argparse.Namespace) -
         problems = dict.fromkeys(filter(None, result.columns["problems"]))
         raise options.RunFailedError("\n  ".join([result.message, *list(problems)[:10]]))
     kinds = ["convergence", *(["front"] if len(result.objectives) > 1 else []), "parallel"]
-    with add_files(output) as place:
+    with add_files(output) as temporary:
         for kind in kinds:
-            result.draw(kind).save(place / kind)
+            result.draw(kind).save(temporary / kind)
     options.say(json.dumps(result.summary(), indent=2) if arguments.json else result)
     if arguments.confirm:
         confirmation = result.confirm(events=arguments.confirm)

@@ -100,11 +100,11 @@ def surfaces(text: str) -> tuple[float | str, ...]:
     """Read the surfaces of states, ``A,B,C``: a length is a radius, a name stays a name."""
     from cgemit.base.validate import number_of
 
-    def surface(part: str) -> float | str:
+    def surface(text: str) -> float | str:
         try:
-            return number_of(part, "length")
+            return number_of(text, "length")
         except QuantityError:
-            return part  # a name, or what the setting refuses
+            return text  # a name, or what the setting refuses
 
     return tuple(map(surface, names(text)))
 
@@ -192,13 +192,13 @@ def add_set(parser: argparse.ArgumentParser, about: str) -> None:
 
 def plan_changes(texts: list[str]) -> dict[str, object]:
     """Return what `--set` changes in a plan, by dotted key."""
-    found: dict[str, object] = {}
+    changes: dict[str, object] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not name:
             raise InputError(f"--set: got {text!r}, expected KEY=VALUE such as evaluate.events=500")
-        found[name] = literal(value)
-    return found
+        changes[name] = literal(value)
+    return changes
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -250,7 +250,7 @@ def split(
     known |= {name: "detector" for name in TOP_LEVEL if name not in known} if detector else {}
     known |= {"readout": "readout"} if readout else {}
     examples = " or ".join(["fit.loss=mean"] * settings + ['cgem.L2.pitch_x="500 um"'] * detector)
-    found = Changes([], {})
+    changes = Changes([], {})
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         first, dot, rest = name.partition(".")
@@ -260,13 +260,13 @@ def split(
         if not equals or not name or (kind == "settings" and not dot):
             problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
         elif kind == "settings":
-            found.settings.append((name, literal(value)))
+            changes.settings.append((name, literal(value)))
         elif kind is not None:
-            found.detector[name] = literal(value)
+            changes.detector[name] = literal(value)
         else:
             expected = ", or ".join(_kinds_of_keys(known))
             problems.append(f"--set: got {name!r}, expected {expected}{did_you_mean(first, known, '; ')}")
-    return found
+    return changes
 
 
 def _kinds_of_keys(known: Mapping[str, str]) -> list[str]:
@@ -294,9 +294,9 @@ def settings_and_readout(arguments: argparse.Namespace, *, one_track: bool = Fal
         Listing every problem.
     """
     problems: list[str] = []
-    found = split(arguments.overrides, problems, detector=False, readout=True)
-    settings = read_settings(arguments, found.settings, problems, one_track=one_track)
-    readout = collect(problems, _readout, arguments.readout, found.detector)
+    changes = split(arguments.overrides, problems, detector=False, readout=True)
+    settings = read_settings(arguments, changes.settings, problems, one_track=one_track)
+    readout = collect(problems, _readout, arguments.readout, changes.detector)
     if problems:
         raise InputError("\n  ".join(["wrong settings", *problems]))
     return settings, readout
@@ -365,11 +365,11 @@ def read_settings(
         except SettingsError as error:
             problems += [f"{error.source}: {text}" for text in error.problems]
     layers += [("--set", nested(key, value)) for key, value in changed]
-    given = dict(changed)
+    by_set = dict(changed)
     for flag, key, value in _options(arguments):
         layers.append((flag, nested(key, value)))
-        if key in given and _listed(given[key]) != _listed(value):
-            problems.append(f"{flag}: got {value!r}, but {given[key]!r} from --set {key}; expected one of them")
+        if key in by_set and _listed(by_set[key]) != _listed(value):
+            problems.append(f"{flag}: got {value!r}, but {by_set[key]!r} from --set {key}; expected one of them")
     try:
         settings = Settings.from_layers(layers)
     except SettingsError as error:
@@ -577,10 +577,10 @@ def load_inputs(
         Listing every problem of the settings and of all detectors.
     """
     problems: list[str] = []
-    found = split(arguments.overrides, problems)
-    settings = read_settings(arguments, found.settings, problems, one_track=one_track)
+    changes = split(arguments.overrides, problems)
+    settings = read_settings(arguments, changes.settings, problems, one_track=one_track)
     sources = [arguments.detector] if isinstance(arguments.detector, str) else arguments.detector
-    overrides = found.detector | (collect(problems, _name, arguments.name, found.detector, len(sources)) or {})
+    overrides = changes.detector | (collect(problems, _name, arguments.name, changes.detector, len(sources)) or {})
     detectors: dict[str, Detector] = {}
     for source in sources:
         detector = collect(

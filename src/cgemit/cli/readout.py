@@ -97,14 +97,14 @@ def _fit(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     how = {"n": arguments.events or 3000, "seed": arguments.seed, "threads": arguments.threads}
     with new_file(target, overwrite=arguments.overwrite) as temporary:
         with options.progress_bar(arguments, "readout") as progress:
-            found = fit_errors(readout, **how, progress=progress)
-        text = as_toml(readout.name, found)
+            errors = fit_errors(readout, **how, progress=progress)
+        text = as_toml(readout.name, errors)
         temporary.write_text(text, encoding="utf-8")
     options.say(text)
     options.say("pulls of clusters that know their track, in other designs: median, core width, share beyond 3")
-    for one in pulls(readout, errors=found, **how):
-        where = one.quantity if one.quantity == "all" else f"{one.quantity} {one.low:g} to {one.high:g}"
-        options.say(f"  {where:<20} {one.clusters:8d} {one.mean:+7.2f} {one.core:6.2f} {100 * one.beyond:6.1f} %")
+    for pull in pulls(readout, errors=errors, **how):
+        where = pull.quantity if pull.quantity == "all" else f"{pull.quantity} {pull.low:g} to {pull.high:g}"
+        options.say(f"  {where:<20} {pull.clusters:8d} {pull.mean:+7.2f} {pull.core:6.2f} {100 * pull.beyond:6.1f} %")
     return options.OK
 
 
@@ -123,13 +123,13 @@ def _incidence(option: str, angles: list[float]) -> list[float]:
 def _values(arguments: argparse.Namespace) -> list[float]:
     """Return the values of the scan in its unit."""
     if arguments.scan == "angle":
-        option, given = "--angles", arguments.angles or options.listed_angles(_ANGLES)
+        option, values = "--angles", arguments.angles or options.listed_angles(_ANGLES)
     else:
-        option, given = "--values", arguments.values or options.listed_numbers(_VALUES[arguments.scan])
+        option, values = "--values", arguments.values or options.listed_numbers(_VALUES[arguments.scan])
     wrong = "--values" if arguments.scan == "angle" else "--angles"
     if (arguments.values if arguments.scan == "angle" else arguments.angles) is not None:
         raise options.InputError(f"{wrong}: got it with --scan {arguments.scan}, expected {option}")
-    return _incidence(option, given) if arguments.scan == "angle" else given
+    return _incidence(option, values) if arguments.scan == "angle" else values
 
 
 def _scan(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
@@ -140,21 +140,21 @@ def _scan(arguments: argparse.Namespace, readout: ChargeReadout) -> int:
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
     with options.progress_bar(arguments, "readout") as progress:
-        found = scan(
+        beam_scan = scan(
             readout, arguments.scan, values, angle=angle, bz=arguments.bz, n=arguments.events or 4000,
             seed=arguments.seed, particle=arguments.particle, p=arguments.p, threads=arguments.threads,
             progress=progress,
         )  # fmt: skip
-    options.say(found)
+    options.say(beam_scan)
     if arguments.output:
-        _write(found, arguments)
+        _write(beam_scan, arguments)
     return options.OK
 
 
-def _write(found: BeamScan, arguments: argparse.Namespace) -> None:
+def _write(beam_scan: BeamScan, arguments: argparse.Namespace) -> None:
     from cgemit.base.files import new_folder
 
-    with new_folder(arguments.output, overwrite=arguments.overwrite) as place:
-        (place / "readout.csv").write_text(found.to_csv(), encoding="utf-8")
-        found.draw().save(place / "readout")
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as temporary:
+        (temporary / "readout.csv").write_text(beam_scan.to_csv(), encoding="utf-8")
+        beam_scan.draw().save(temporary / "readout")
     options.note(arguments, f"picture: {arguments.output}/readout.png")

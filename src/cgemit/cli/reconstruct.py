@@ -80,9 +80,9 @@ def run(arguments: argparse.Namespace) -> int:
     numbers = _numbers(arguments, len(events.run))
     result = reconstruct_events(events, settings, points=arguments.points)
     offsets = point_offsets(events, result) if result.strip_times is not None else []
-    about = _about(result, arguments) | {"run": sorted({int(one) for one in events.run})}
-    about["points"] = {one.label: _offset(one) for one in offsets}
-    text = json.dumps(about, indent=2, allow_nan=False)
+    report = _about(result, arguments) | {"run": sorted({int(one) for one in events.run})}
+    report["points"] = {one.label: _offset(one) for one in offsets}
+    text = json.dumps(report, indent=2, allow_nan=False)
     hits = np.bincount(result.tracks["event"], result.tracks["n_clusters"] + result.tracks["n_wires"], len(events.run))
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         result.save(folder, command=arguments.line, format=form)
@@ -105,13 +105,13 @@ def run(arguments: argparse.Namespace) -> int:
     return options.OK
 
 
-def _offset(one: PointOffset) -> dict[str, Any]:
+def _offset(offset: PointOffset) -> dict[str, Any]:
     """Return an offset as plain numbers; without those that are not known."""
-    found: dict[str, Any] = {"tracks": one.n}
-    for name, value, error in (("x", one.x, one.err_x), ("z", one.z, one.err_z)):
+    numbers: dict[str, Any] = {"tracks": offset.n}
+    for name, value, error in (("x", offset.x, offset.err_x), ("z", offset.z, offset.err_z)):
         if value == value:
-            found[name] = {"value": value, "error": error, "unit": "mm"}
-    return found
+            numbers[name] = {"value": value, "error": error, "unit": "mm"}
+    return numbers
 
 
 def _numbers(arguments: argparse.Namespace, events: int) -> list[int]:
@@ -128,16 +128,16 @@ def _about(result: Result, arguments: argparse.Namespace) -> dict[str, Any]:
     from cgemit.reconstruction.refine import StartTimeStatus
 
     times = result.start_times["status"] == StartTimeStatus.ok
-    about = {
+    report = {
         "version": __version__, "command": arguments.line, "file": str(arguments.file),
         "detector": result.detector.name, "events": result.n_events, "settings": result.settings.to_dict(),
         "rows": result.rows, "removed": result.removed(), "events_with_start_time": int(times.sum()),
     }  # fmt: skip
     if result.strip_times is None:
-        return about
+        return report
     offset, error = (result.strip_times.meta[name] for name in ("offset", "err_offset"))
     strips = {
         "offset": {"value": offset, "error": error, "unit": "ns"} if offset == offset else None,
         "strips": len(result.digis), "outside": int(result.strip_times["n_outside"].sum()),
     }  # fmt: skip
-    return about | {"strip_times": strips}
+    return report | {"strip_times": strips}

@@ -61,18 +61,18 @@ def run(arguments: argparse.Namespace) -> int:
     errors = CLUSTER_ERRORS if arguments.cluster_errors is None else tuple(arguments.cluster_errors)
     events = read_events(arguments.file, detector, errors=errors, every_cluster=arguments.clusters == "all")
     kinds = KINDS if arguments.tracks == "both" else (arguments.tracks,)
-    found = {kind: refit(events, kind, settings.fit) for kind in kinds}
-    about: dict[str, Any] = {
+    refits = {kind: refit(events, kind, settings.fit) for kind in kinds}
+    report: dict[str, Any] = {
         "version": __version__, "command": arguments.line, "file": str(arguments.file), "detector": detector.name,
         "events": len(events.run), "settings": settings.to_dict(), "clusters": CLUSTER_POSITIONS,
     }  # fmt: skip
-    for kind, one in found.items():
-        about[kind] = {"tracks": len(one.ours), "fitted": int(one.good.sum()), **one.summary()}
-    text = json.dumps(_without_nan(about), indent=2, allow_nan=False)
+    for kind, one in refits.items():
+        report[kind] = {"tracks": len(one.ours), "fitted": int(one.good.sum()), **one.summary()}
+    text = json.dumps(_without_nan(report), indent=2, allow_nan=False)
     if arguments.output:
-        _write(found, text, arguments.output, overwrite=arguments.overwrite)
-    options.say(text if arguments.json else "\n".join([repr(events), *map(repr, found.values())]))
-    if not any(one.good.any() for one in found.values()):
+        _write(refits, text, arguments.output, overwrite=arguments.overwrite)
+    options.say(text if arguments.json else "\n".join([repr(events), *map(repr, refits.values())]))
+    if not any(one.good.any() for one in refits.values()):
         raise options.RunFailedError("no track was fitted by both")
     if arguments.output:
         options.note(arguments, f"tables and pictures: {arguments.output}")
@@ -86,15 +86,15 @@ def _without_nan(value: Any) -> Any:
     return None if value != value else value
 
 
-def _write(found: dict[str, Refit], text: str, folder: str, *, overwrite: bool) -> None:
+def _write(refits: dict[str, Refit], text: str, folder: str, *, overwrite: bool) -> None:
     from cgemit.base.files import SUMMARY, new_folder
     from cgemit.draw.curves import draw_refit
     from cgemit.tables.show import write_csv
 
-    pictures = {kind: draw_refit(one) for kind, one in found.items() if one.good.any()}
-    with new_folder(Path(folder), overwrite=overwrite) as made:
-        for kind, one in found.items():
-            write_csv(made / f"{kind}.csv", one.columns, digits=17)
+    pictures = {kind: draw_refit(one) for kind, one in refits.items() if one.good.any()}
+    with new_folder(Path(folder), overwrite=overwrite) as results:
+        for kind, one in refits.items():
+            write_csv(results / f"{kind}.csv", one.columns, digits=17)
         for kind, picture in pictures.items():
-            picture.save(made / kind)
-        (made / SUMMARY).write_text(text + "\n", encoding="utf-8")
+            picture.save(results / kind)
+        (results / SUMMARY).write_text(text + "\n", encoding="utf-8")

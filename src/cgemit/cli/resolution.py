@@ -117,10 +117,10 @@ def _maps(arguments: argparse.Namespace, detectors: Sequence[Detector], settings
     from cgemit.draw.design import draw_maps
     from cgemit.tables.show import write_csv
 
-    given = {"--p": arguments.p, "--cos-theta": arguments.cos_theta}
+    ranges = {"--p": arguments.p, "--cos-theta": arguments.cos_theta}
     problems = [
         f"{name}: got {value}; --map expects two values or more, as A,B,C or A:B:COUNT"
-        for name, value in given.items()
+        for name, value in ranges.items()
         if not isinstance(value, list) or len(set(value)) < 2
     ]
     problems += ["--method: --map expects analytic"] if arguments.method != "analytic" else []
@@ -128,24 +128,24 @@ def _maps(arguments: argparse.Namespace, detectors: Sequence[Detector], settings
     problems += ["--particle: --map expects one particle"] if len(arguments.particle or []) > 1 else []
     if problems:
         raise options.InputError("\n".join(problems))
-    p, cosines = (np.unique(value) for value in given.values())
+    p, cosines = (np.unique(value) for value in ranges.values())
     (detector,), particle = detectors, (arguments.particle or ["mu-"])[0]
-    found = analytic(
+    resolution = analytic(
         detector, particle, p[:, None], cosines, reveal_sides=settings.digitize.reveal_sides, fit=settings.fit,
         threads=arguments.threads,
     )  # fmt: skip
-    if not found.reached.any():
+    if not resolution.reached.any():
         raise options.RunFailedError(f"{detector.name}: no track at any point has a covariance")
-    about = {"particle": str(particle), "p": p.tolist(), "cos_theta": cosines.tolist(), "method": "analytic"}
+    source = {"particle": str(particle), "p": p.tolist(), "cos_theta": cosines.tolist(), "method": "analytic"}
     entries = record(
-        detectors={"detector": detector}, settings=settings, seed=arguments.seed, source=about, command=arguments.line
+        detectors={"detector": detector}, settings=settings, seed=arguments.seed, source=source, command=arguments.line
     )
-    columns = {_header(name): column.tolist() for name, column in found.table().items()}
-    with new_folder(arguments.output, overwrite=arguments.overwrite) as place:
-        write_csv(place / "map.csv", columns)
-        draw_maps(found).save(place / "map")
-        write_about(place, {"detector": detector}, entries)
-    options.say(f"{found}")
+    columns = {_header(name): column.tolist() for name, column in resolution.table().items()}
+    with new_folder(arguments.output, overwrite=arguments.overwrite) as temporary:
+        write_csv(temporary / "map.csv", columns)
+        draw_maps(resolution).save(temporary / "map")
+        write_about(temporary, {"detector": detector}, entries)
+    options.say(f"{resolution}")
     options.note(arguments, f"maps: {arguments.output}/map.png")
     return 0
 

@@ -104,10 +104,10 @@ def text(numbers: Mapping[str, Any]) -> str:
     lines = [": ".join(filter(None, about)), f"field {numbers['field']}"]
     lines += ["", "Material at normal incidence, from the beam line outward", *_rows(_MATERIAL, _with_sums(numbers))]
     sub_layers = [
-        {**row, "part": part["part"]}
-        for part in numbers["material"]
-        for row in part["sub_layers"]
-        if len(part["sub_layers"]) > 1 and part["part"] != "chamber gas"
+        {**row, "part": row_of_part["part"]}
+        for row_of_part in numbers["material"]
+        for row in row_of_part["sub_layers"]
+        if len(row_of_part["sub_layers"]) > 1 and row_of_part["part"] != "chamber gas"
     ]
     if sub_layers:
         lines += ["", "Sub-layers", *_rows(_SUB_LAYERS, sub_layers)]
@@ -125,12 +125,12 @@ def text(numbers: Mapping[str, Any]) -> str:
 def _with_sums(numbers: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the scatterers, the gas between wire layers as one, with the thickness up to and including each."""
     total = 0.0
-    for part, found in itertools.groupby(numbers["material"], key=lambda row: row["part"]):
+    for name, found in itertools.groupby(numbers["material"], key=lambda row: row["part"]):
         rows = list(found)
         thickness = sum(row["x0_percent"] for row in rows)
         total += thickness
         edges = {"r_in_mm": rows[0]["r_in_mm"], "r_out_mm": rows[-1]["r_out_mm"]}
-        yield {"part": part, **edges, "x0_percent": thickness, "sum": total}
+        yield {"part": name, **edges, "x0_percent": thickness, "sum": total}
 
 
 def _rows(columns: Sequence[tuple[str, str, str]], rows: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -157,17 +157,17 @@ def _write(
     from cgemit.draw.detector import draw_detector, draw_layers, draw_material, draw_sides
     from cgemit.tables.show import write_csv
 
-    with new_folder(folder, overwrite=overwrite) as place:
-        draw_detector(detector).save(place / "r-phi")
-        draw_sides(detector).save(place / "r-z")
+    with new_folder(folder, overwrite=overwrite) as temporary:
+        draw_detector(detector).save(temporary / "r-phi")
+        draw_sides(detector).save(temporary / "r-z")
         scan = material_scan(detector)
-        draw_material(scan).save(place / "material")
-        write_csv(place / "material.csv", scan.columns())
+        draw_material(scan).save(temporary / "material")
+        write_csv(temporary / "material.csv", scan.columns())
         if detector.cgem:
-            draw_layers(detector).save(place / "layers")
-        write_files(place, {"detector.toml": detector})
+            draw_layers(detector).save(temporary / "layers")
+        write_files(temporary, {"detector.toml": detector})
         if gdml:
-            detector.to_gdml(place / "detector.gdml")
+            detector.to_gdml(temporary / "detector.gdml")
         if delphes:
-            Path(place / f"detector{CARD}").write_text(card_of(detector), encoding="utf-8")
-        Path(place / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            Path(temporary / f"detector{CARD}").write_text(card_of(detector), encoding="utf-8")
+        Path(temporary / SUMMARY).write_text(json.dumps(numbers, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -131,13 +131,13 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
 _GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
 
 
-def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source:
+def gun_of(arguments: argparse.Namespace, *required: tuple[str, object]) -> Source:
     """Return the gun, or the sample, of the options.
 
     Parameters
     ----------
     arguments : Namespace
-    *others : (str, object)
+    *required : (str, object)
         Further options that must be given beside the gun's, and their values.
 
     Raises
@@ -148,18 +148,22 @@ def gun_of(arguments: argparse.Namespace, *others: tuple[str, object]) -> Source
     from cgemit.particles.gun import Gun
     from cgemit.particles.samples import sample
 
-    given = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
-    missing = [name for name, value in others if value is None]
+    options_of_gun = {name: getattr(arguments, name) for name in _GUN if getattr(arguments, name) is not None}
+    missing = [name for name, value in required if value is None]
     instead = ""
     if arguments.sample is None:
         instead = f", or{' --particles FILE, or' if hasattr(arguments, 'particles') else ''} --sample NAME"
         for pair in (("--p", "--pt"), ("--theta", "--cos-theta")):
-            if not any(one[2:].replace("-", "_") in given for one in pair):
+            if not any(one[2:].replace("-", "_") in options_of_gun for one in pair):
                 missing.append(" or ".join(pair))
     if missing:
         expected = "all of these" if len(missing) > 1 else "one"
         raise options.InputError(f"got no {', no '.join(missing)}; expected {expected}{instead}")
-    return Gun(**{"particle": "mu-", **given}) if arguments.sample is None else sample(arguments.sample, **given)
+    return (
+        Gun(**{"particle": "mu-", **options_of_gun})
+        if arguments.sample is None
+        else sample(arguments.sample, **options_of_gun)
+    )
 
 
 def _source(arguments: argparse.Namespace) -> Any:
@@ -176,9 +180,9 @@ def _source(arguments: argparse.Namespace) -> Any:
         if arguments.charges is not None:
             raise options.InputError("--charges: got charges without --particles, expected both")
         return gun_of(arguments, ("-n", arguments.events))
-    given = [name for name in ("sample", *_GUN) if getattr(arguments, name) is not None]
-    if given:
-        wrong = ", ".join("--" + name.replace("_", "-") for name in given)
+    flags = [name for name in ("sample", *_GUN) if getattr(arguments, name) is not None]
+    if flags:
+        wrong = ", ".join("--" + name.replace("_", "-") for name in flags)
         raise options.InputError(f"--particles: got {wrong}, too; expected particles of a file or of a gun")
     if not Path(arguments.particles).exists():
         raise options.InputError(f"--particles: got {arguments.particles}, which does not exist; expected a file")
@@ -221,10 +225,10 @@ def _fits(arguments: argparse.Namespace) -> bool:
     from cgemit.chain.settings import TABLES
 
     fitted = set(TABLES[TABLES.index("candidates") :])
-    kept = set(arguments.keep or ()) & fitted
+    kept_tables = set(arguments.keep or ()) & fitted
     asked = (
         arguments.fit, arguments.finder is not None, arguments.states is not None, arguments.hypothesis is not None,
-        bool(kept),
+        bool(kept_tables),
     )  # fmt: skip
     return any(asked) or any(text.strip().startswith(("fit.", "find.", "refine.")) for text in arguments.overrides)
 

@@ -79,9 +79,9 @@ def _write(result: SlabResult, numbers: str, folder: str, *, overwrite: bool) ->
     from cgemit.base.files import SUMMARY, new_folder
     from cgemit.draw.slab import draw_slab
 
-    with new_folder(folder, overwrite=overwrite) as place:
-        draw_slab(result).save(place / "slab")
-        (place / SUMMARY).write_text(numbers + "\n", encoding="utf-8")
+    with new_folder(folder, overwrite=overwrite) as temporary:
+        draw_slab(result).save(temporary / "slab")
+        (temporary / SUMMARY).write_text(numbers + "\n", encoding="utf-8")
 
 
 def _particles(text: str) -> int:

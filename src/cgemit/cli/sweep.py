@@ -37,13 +37,13 @@ def workers(arguments: argparse.Namespace, stack: ExitStack) -> Executor | int |
 
 
 @contextmanager
-def _processes(number: int) -> Iterator[Executor]:
+def _processes(workers: int) -> Iterator[Executor]:
     """Yield a pool of processes; Ctrl-C in this one ends them, whatever they are at."""
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import active_children, get_context
 
     ignore = (signal.SIGINT, signal.SIG_IGN)
-    pool = ProcessPoolExecutor(number, get_context("spawn"), initializer=signal.signal, initargs=ignore)
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=signal.signal, initargs=ignore)
     try:
         yield pool
     except KeyboardInterrupt:
@@ -131,9 +131,11 @@ def _places(arguments: argparse.Namespace) -> tuple[str, str]:
         problems += ["PLAN: missing, expected a TOML file"] * (arguments.plan is None)
         problems += ["-o: missing, expected a folder for the results"] * (arguments.output is None)
     else:
-        given = {"PLAN": arguments.plan, "-o": arguments.output, "--set": arguments.overrides or None,
+        arguments_of = {"PLAN": arguments.plan, "-o": arguments.output, "--set": arguments.overrides or None,
                  "--array-index": arguments.array_index, "--overwrite": arguments.overwrite or None}  # fmt: skip
-        problems += [f"{name}: got one, expected none beside --merge" for name, one in given.items() if one is not None]
+        problems += [
+            f"{name}: got one, expected none beside --merge" for name, one in arguments_of.items() if one is not None
+        ]
     if problems:
         raise options.InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
     if arguments.merge is None:
