@@ -215,8 +215,8 @@ def align(
     low, high = _limits(before, free)
     now, converged, first, zero, unseen = before, False, 0.0, tuple[str, ...](), tuple[str, ...]()
     with pool_of(Workers(threads=threads)) as pool:
-        for number in range(settings.iterations):
-            pull = settings.outlier_pull[min(number, len(settings.outlier_pull) - 1)]
+        for turn in range(settings.iterations):
+            pull = settings.outlier_pull[min(turn, len(settings.outlier_pull) - 1)]
             sums = Sums.none(len(free))
             for source in sources:
                 tables = tables_of(source, now)
@@ -226,22 +226,22 @@ def align(
                 problem = f"tracks: got {sums.tracks} that are fitted, expected more than the {len(free)} constants"
                 raise ValueError(f"align:\n  {problem}")
             constrain = settings.zero_modes == "constrained"
-            found = solve(now, free, sums, priors, total, constrain=constrain, zero=zero, unseen=unseen)
-            if number == 0:
+            solution = solve(now, free, sums, priors, total, constrain=constrain, zero=zero, unseen=unseen)
+            if turn == 0:
                 unseen = tuple(one.name for one, seen in zip(free, sums.measured, strict=True) if seen == 0)
-            zero = (*zero, *(name for name in found.zero_modes if name not in zero))
-            wanted = np.clip(total + found.value, low, high)
+            zero = (*zero, *(name for name in solution.zero_modes if name not in zero))
+            wanted = np.clip(total + solution.value, low, high)
             step, total = wanted - total, wanted
             with np.errstate(invalid="ignore", divide="ignore"):
-                moved = np.nan_to_num(np.abs(step) / found.err).max(initial=0.0)
-            if number == 0:
-                improvement = float(found.value @ found.information @ found.value)
-                first = float(np.count_nonzero(found.determined))
+                moved = np.nan_to_num(np.abs(step) / solution.err).max(initial=0.0)
+            if turn == 0:
+                improvement = float(solution.value @ solution.information @ solution.value)
+                first = float(np.count_nonzero(solution.determined))
             history.append(Iteration(sums.tracks, sums.hits, sums.pairs, sums.left_out, sums.chi2, float(moved), pull))
             values = {one.name: float(value) for one, value in zip(free, total, strict=True) if value != 0}
             now = before.with_alignment(values)
             if progress is not None:
-                progress((number + 1) / settings.iterations)
+                progress((turn + 1) / settings.iterations)
             final = pull == settings.outlier_pull[-1]
             if moved < settings.tolerance and final:
                 converged = True
@@ -252,7 +252,7 @@ def align(
 
     at_limits = tuple(one.name for one, value, a, b in zip(free, total, low, high, strict=True) if value in (a, b))
     result = Alignment(
-        found.table(total, fixed), now, before, replace(found, value=total), tuple(history), improvement,
+        solution.table(total, fixed), now, before, replace(solution, value=total), tuple(history), improvement,
         _survival(improvement, first), converged, at_limits,
         (residuals(before), residuals(now)),
     )  # fmt: skip
@@ -271,54 +271,54 @@ def _limits(detector: Detector, constants: Sequence[Constant]) -> tuple[Floats, 
     """Return the ends of the range of each constant, as changes of the description, each (n,)."""
     low, high = [], []
     for one in constants:
-        found = value_of(detector, one.name)
-        assert found is not None
-        low.append(found[1])
-        high.append(found[2])
+        limits = value_of(detector, one.name)
+        assert limits is not None
+        low.append(limits[1])
+        high.append(limits[2])
     return np.array(low), np.array(high)
 
 
 def sources_of(
-    given: Sequence[object],
+    runs: Sequence[object],
     detector: Detector | str | Mapping[str, Any] | None,
     fit: FitSettings | None,
     reference: Kind | None = None,
 ) -> tuple[Detector, list[_Source]]:
     """Return the description to be corrected, and the runs."""
-    problems, found = Problems(), list[_Source]()
-    if reference is not None and (reference not in KINDS or not any(isinstance(one, Bes3Events) for one in given)):
+    problems, sources = Problems(), list[_Source]()
+    if reference is not None and (reference not in KINDS or not any(isinstance(one, Bes3Events) for one in runs)):
         problems.note(
             "reference", repr(reference), f"one of {', '.join(map(repr, KINDS))}, and events of the experiment"
         )
     before = None if detector is None else load(detector)
     if fit is not None:
         FitSettings.of(fit, "fit")
-    if not given:
+    if not runs:
         problems.note("runs", "none", "a run with tracks")
-    for number, one in enumerate(given):
+    for number, run in enumerate(runs):
         path = f"runs[{number}]"
         described, finds, fits = before, None, fit or FitSettings()
         tables: dict[str, Any]
-        if isinstance(one, Result):
-            described = one.fit_detector or one.detector
-            tables = {name: one.tables.get(name) for name in TAKES}
+        if isinstance(run, Result):
+            described = run.fit_detector or run.detector
+            tables = {name: run.tables.get(name) for name in TAKES}
             if all(table is not None for table in tables.values()):
-                tables["clusters"], tables["wire_hits"] = one.fitted_hits
-            finds = find_settings(one.settings, one.gun) if one.finder == "ckf" else None
-            fits = fit or fit_settings(one.settings, one.gun)
-        elif isinstance(one, Bes3Events):
-            described = one.detector
-            tables = {name: getattr(one, name) for name in TAKES}
+                tables["clusters"], tables["wire_hits"] = run.fitted_hits
+            finds = find_settings(run.settings, run.gun) if run.finder == "ckf" else None
+            fits = fit or fit_settings(run.settings, run.gun)
+        elif isinstance(run, Bes3Events):
+            described = run.detector
+            tables = {name: getattr(run, name) for name in TAKES}
             if reference is not None:
-                tables["reference"] = one.kal_tracks if reference == "kal" else one.mdc_tracks
-        elif isinstance(one, Mapping):
-            tables = {name: one.get(name) for name in TAKES} | (
-                {"reference": one["reference"]} if "reference" in one else {}
+                tables["reference"] = run.kal_tracks if reference == "kal" else run.mdc_tracks
+        elif isinstance(run, Mapping):
+            tables = {name: run.get(name) for name in TAKES} | (
+                {"reference": run["reference"]} if "reference" in run else {}
             )
             if described is None:
                 problems.note("detector", "none", "the description that made the tables")
         else:
-            problems.note(path, type(one).__name__, "a Result, Bes3Events or tables by name")
+            problems.note(path, type(run).__name__, "a Result, Bes3Events or tables by name")
             continue
         missing = [name for name, table in tables.items() if not isinstance(table, Table)]
         if missing:
@@ -326,23 +326,23 @@ def sources_of(
             continue
         if described is not None:
             before = before or described
-            found.append(_Source(tables, fits, finds, described))
-    _note_shared(given, problems)
+            sources.append(_Source(tables, fits, finds, described))
+    _note_shared(runs, problems)
     problems.report("align")
     assert before is not None
-    return before, found
+    return before, sources
 
 
-def _note_shared(given: Sequence[object], problems: Problems) -> None:
+def _note_shared(sources: Sequence[object], problems: Problems) -> None:
     """Note runs whose events have the same random numbers: their smearing is the same, and counts twice."""
-    runs = [(number, one) for number, one in enumerate(given) if isinstance(one, Result)]
-    for i, (number, one) in enumerate(runs):
+    runs = [(number, one) for number, one in enumerate(sources) if isinstance(one, Result)]
+    for i, (run_number, run) in enumerate(runs):
         for other_number, other in runs[:i]:
-            begin = max(one.first_event, other.first_event)
-            end = min(one.first_event + one.n_events, other.first_event + other.n_events)
-            if one.seed == other.seed and begin < end:
-                text = f"events {begin} to {end - 1} of seed {one.seed}, as runs[{other_number}]"
-                problems.note(f"runs[{number}]", text, "another seed: smearing depends on seed and event alone")
+            begin = max(run.first_event, other.first_event)
+            end = min(run.first_event + run.n_events, other.first_event + other.n_events)
+            if run.seed == other.seed and begin < end:
+                text = f"events {begin} to {end - 1} of seed {run.seed}, as runs[{other_number}]"
+                problems.note(f"runs[{run_number}]", text, "another seed: smearing depends on seed and event alone")
 
 
 def tables_of(source: _Source, now: Detector) -> Mapping[str, Table]:

@@ -65,9 +65,9 @@ def cluster_error_factors(result: Result) -> ErrorFactors:
     hits = hit_residuals(result)
     factors = _no_factors(result)
     for _ in range(TURNS):
-        found = _factors(factors, hits)
-        step = np.abs(found.factor / factors.factor - 1).max(initial=0.0)
-        factors = found
+        renewed = _factors(factors, hits)
+        step = np.abs(renewed.factor / factors.factor - 1).max(initial=0.0)
+        factors = renewed
         if step < STAYS:
             break
         hits = residuals_of(result, with_factors(result.detector, clusters, factors), wires)
@@ -92,10 +92,10 @@ def _factors(before: ErrorFactors, hits: HitResiduals) -> ErrorFactors:
     size = np.minimum(hits.size, LARGEST_SIZE)
     factor, err, count = np.ones(len(before.layer)), np.full(len(before.layer), np.nan), np.zeros(len(before.layer))
     good = hits.counts & (hits.view < 2)
-    for i, (layer, view, own) in enumerate(zip(before.layer, before.view, before.size, strict=True)):
+    for i, (layer, view, of_size) in enumerate(zip(before.layer, before.view, before.size, strict=True)):
         of_view = good & (hits.view == view)
         of_layer = of_view & (hits.layer == layer)
-        classes = (of_layer & (size == own), of_layer, of_view)
+        classes = (of_layer & (size == of_size), of_layer, of_view)
         count[i] = np.count_nonzero(classes[0])
         rows = next((one for one in classes if np.count_nonzero(one) >= LEAST_HITS), None)
         if rows is not None:
@@ -195,29 +195,29 @@ def lorentz_angles(result: Result) -> LorentzAngles:
     """
     detector = result.detector
     layers = [
-        (number, layer)
-        for number in cgem_numbers(detector)
-        if isinstance(layer := detector.layers[number], CgemLayer) and isinstance(layer.readout, AnalogReadout)
+        (layer_number, layer)
+        for layer_number in cgem_numbers(detector)
+        if isinstance(layer := detector.layers[layer_number], CgemLayer) and isinstance(layer.readout, AnalogReadout)
     ]
     if not layers:
         raise ValueError(f"lorentz_angles: {detector.name} has no readout with times, expected such as readout='tiger'")
     hits = hit_residuals(result)
     sign = float(np.copysign(1.0, detector.field.bz))
     tangents, samples = [], []
-    for number, layer in layers:
+    for layer_number, layer in layers:
         drift = layer_drift(layer, detector.field.bz)
-        x, times = _pairs(hits.select((hits.layer == number) & hits.counts & np.isfinite(hits.time)))
+        x, times = _pairs(hits.select((hits.layer == layer_number) & hits.counts & np.isfinite(hits.time)))
         per_time = drift.velocity * layer.r_readout / layer.r_mid
         readout = layer.readout
         tangents.append(abs(drift.tan_lorentz) if isinstance(readout, AnalogReadout) and readout.lorentz else 0.0)
         samples.append(np.array([1 / x.err**2, x.residual, per_time * x.time, per_time * times]))
     tangents.append(float(np.mean(tangents)))
-    found = [_angle([one], sign, tangent) for one, tangent in zip(samples, tangents[:-1], strict=True)]
-    found.append(_angle(samples, sign, tangents[-1]))
+    angles = [_angle([one], sign, tangent) for one, tangent in zip(samples, tangents[:-1], strict=True)]
+    angles.append(_angle(samples, sign, tangents[-1]))
     counts = [one.shape[1] for one in samples]
     return LorentzAngles(
         [*(layer.label for _, layer in layers), "all"], [*counts, sum(counts)], np.arctan(tangents),
-        *np.array(found, np.float64).T,
+        *np.array(angles, np.float64).T,
     )  # fmt: skip
 
 

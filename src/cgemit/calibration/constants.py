@@ -72,17 +72,17 @@ def constants_of(detector: Detector, plates: Sequence[int] = ()) -> tuple[Consta
 
 
 def _constants(detector: Detector, plates: Sequence[int]) -> Iterator[Constant]:
-    for number, layer in enumerate(detector.layers):
-        yield from _rigid(layer.path, "layers", number)
+    for i_layer, layer in enumerate(detector.layers):
+        yield from _rigid(layer.path, "layers", i_layer)
         if not isinstance(layer, CgemLayer):
             continue
         for sheet in range(layer.sheets):
             for key, i in (("shift_z", 2), ("rotation", 5)):
                 name = f"{layer.path}.sheets.{sheet}.{key}"
-                yield Constant(name, _unit(key), (("sheets", (number, sheet, i)),))
+                yield Constant(name, _unit(key), (("sheets", (i_layer, sheet, i)),))
         # With an analog readout electrons drift in the simulation; their shift is no constant of the description.
         if not isinstance(layer.readout, AnalogReadout):
-            yield Constant(f"{layer.path}.{LORENTZ}", "mm", (("lorentz", (number,)),))
+            yield Constant(f"{layer.path}.{LORENTZ}", "mm", (("lorentz", (i_layer,)),))
     chamber = detector.drift_chamber
     if chamber is not None and chamber.layers:
         yield from _rigid("drift_chamber", "chamber", 0)
@@ -94,13 +94,13 @@ def _constants(detector: Detector, plates: Sequence[int]) -> Iterator[Constant]:
             for key, end, i in _ends():
                 yield Constant(f"{path}.{key}", _unit(key), tuple((end, (number, i)) for number in inside))
         points = points_of_relation(detector)
-        for number, wires in enumerate(chamber.layers):
-            yield from _rigid(wires.path, "wires", number)
+        for i_layer, wires in enumerate(chamber.layers):
+            yield from _rigid(wires.path, "wires", i_layer)
             for key, end, i in _ends():
-                yield Constant(f"{wires.path}.{key}", _unit(key), ((end, (number, i)),))
-            yield Constant(f"{wires.path}.t0", "ns", (("drift", (number, 0)),))
+                yield Constant(f"{wires.path}.{key}", _unit(key), ((end, (i_layer, i)),))
+            yield Constant(f"{wires.path}.t0", "ns", (("drift", (i_layer, 0)),))
             for k, distance in enumerate(points):
-                yield Constant(f"{wires.path}.drift_relation.{distance}mm", "ns", (("drift", (number, 1 + k)),))
+                yield Constant(f"{wires.path}.drift_relation.{distance}mm", "ns", (("drift", (i_layer, 1 + k)),))
         every = range(len(chamber.layers))
         for k, distance in enumerate(points):
             columns = tuple(("drift", (number, 1 + len(points) + k)) for number in every)
@@ -120,14 +120,14 @@ def _unit(key: str) -> str:
 
 def _plates(plates: Sequence[int]) -> Iterator[tuple[int, int]]:
     last = 0
-    for number in plates:
-        yield last, last + number
-        last += number
+    for n_layers in plates:
+        yield last, last + n_layers
+        last += n_layers
 
 
-def _rigid(path: str, array: str, number: int) -> Iterator[Constant]:
+def _rigid(path: str, array: str, row: int) -> Iterator[Constant]:
     for i, key in enumerate(PLACEMENT):
-        yield Constant(f"{path}.{key}", _unit(key), ((array, (number, i)),))
+        yield Constant(f"{path}.{key}", _unit(key), ((array, (row, i)),))
 
 
 def matches(constant: Constant, pattern: str) -> bool:
@@ -162,36 +162,36 @@ def chosen(constants: Sequence[Constant], patterns: Sequence[str], path: str, pr
     problems : Problems
         Receives every pattern that names none.
     """
-    found: set[str] = set()
+    selected: set[str] = set()
     for pattern in patterns:
         names = [one.name for one in constants if matches(one, pattern)]
         if not names:
             known = [*dict.fromkeys(one.part for one in constants), *(one.name for one in constants)]
             problems.note(path, repr(pattern), "a part or a constant of the detector", did_you_mean(pattern, known))
-        found.update(names)
-    return found
+        selected.update(names)
+    return selected
 
 
-def priors_of(constants: Sequence[Constant], given: Sequence[str], problems: Problems) -> dict[str, float]:
+def priors_of(constants: Sequence[Constant], texts: Sequence[str], problems: Problems) -> dict[str, float]:
     """Return the errors of surveys by the names of constants, mm, rad, ns or 1.
 
     Parameters
     ----------
     constants : sequence of Constant
-    given : sequence of str
+    texts : sequence of str
         Patterns with errors, ``"cgem.*.shift_z=100 um"``; later ones count.
     problems : Problems
         Receives every text that is none.
     """
-    found: dict[str, float] = {}
-    for text in given:
+    errors: dict[str, float] = {}
+    for text in texts:
         pattern, equals, value = (word.strip() for word in text.partition("="))
         named = [one for one in constants if matches(one, pattern)]
         if not equals or not named:
             problems.note("priors", repr(text), "a part or a constant, and its error: 'cgem.*.shift_z=100 um'")
             continue
-        for one in named:
-            kind = {"mm": "length", "rad": "angle", "ns": "time"}.get(one.unit, "dimensionless")
+        for constant in named:
+            kind = {"mm": "length", "rad": "angle", "ns": "time"}.get(constant.unit, "dimensionless")
             try:
                 error = parse_quantity(value, kind)
             except QuantityError as error_of_text:
@@ -200,8 +200,8 @@ def priors_of(constants: Sequence[Constant], given: Sequence[str], problems: Pro
             if not 0 < error < np.inf:
                 problems.note("priors", repr(text), "an error above 0")
                 break
-            found[one.name] = error
-    return found
+            errors[constant.name] = error
+    return errors
 
 
 def columns_of(detector: Detector, constants: Sequence[Constant]) -> dict[str, Any]:
@@ -224,9 +224,9 @@ def columns_of(detector: Detector, constants: Sequence[Constant]) -> dict[str, A
         "z_scale": (layers,), "drift": changes.shape[:2], "field": (1,),
     }  # fmt: skip
     arrays: dict[str, Ints] = {name: np.full(shape, -1, np.int32) for name, shape in shapes.items()}
-    for number, one in enumerate(constants):
+    for column, one in enumerate(constants):
         for name, at in one.columns:
-            arrays[name][at] = number
+            arrays[name][at] = column
     return {name: array.ravel() for name, array in arrays.items()} | {
         "columns": len(constants), "chamber_shift": np.zeros(3) if chamber is None else chamber.shift,
         "chamber_turn": (np.eye(3) if chamber is None else chamber.turn).ravel(),

@@ -50,13 +50,13 @@ class Quantities:
 
 
 def quantities(
-    found: Found, event: npt.NDArray[np.int64], mass: Floats, charge: Floats, settings: AlignmentSettings
+    tracks: Found, event: npt.NDArray[np.int64], mass: Floats, charge: Floats, settings: AlignmentSettings
 ) -> Iterator[Quantities]:
     """Yield the quantities of tracks that settings join.
 
     Parameters
     ----------
-    found : mapping of str to ndarray
+    tracks : mapping of str to ndarray
         Of the core, with ``bias``.
     event : ndarray, (n,) int64
         Of each track.
@@ -64,52 +64,52 @@ def quantities(
     settings : AlignmentSettings
     """
     if "cosmic" in settings.pairs:
-        yield from _cosmic(found, event)
+        yield from _cosmic(tracks, event)
     if not {"vertex", "beam_line", "mass"} & set(settings.pairs):
         return
-    used = np.flatnonzero(found["used"] == 1)
+    used = np.flatnonzero(tracks["used"] == 1)
     used = used[np.argsort(event[used], kind="stable")]
     _, first, count = np.unique(event[used], return_index=True, return_counts=True)
     for number in np.unique(count):
         rows = used[first[count == number][:, None] + np.arange(number)]
-        one = _from_one_point(found, rows, event[rows[:, 0]], mass, charge, settings)
-        if one is not None:
-            yield one
+        of_point = _from_one_point(tracks, rows, event[rows[:, 0]], mass, charge, settings)
+        if of_point is not None:
+            yield of_point
 
 
-def _cosmic(found: Found, event: npt.NDArray[np.int64]) -> Iterator[Quantities]:
+def _cosmic(tracks: Found, event: npt.NDArray[np.int64]) -> Iterator[Quantities]:
     """Yield the halves of muons that cross the detector: both are the same track."""
-    upper, lower = halves(event, found["helix"][:, 1], found["used"] == 1)
+    upper, lower = halves(event, tracks["helix"][:, 1], tracks["used"] == 1)
     if not len(upper):
         return
-    apart = found["helix"][lower] - found["helix"][upper] * BACKWARD
+    apart = tracks["helix"][lower] - tracks["helix"][upper] * BACKWARD
     apart[:, 1] = helix.wrap_angle(apart[:, 1] - np.pi)
-    cov = found["cov"][lower] + BACKWARD[:, None] * found["cov"][upper] * BACKWARD
-    slope = found["bias"][lower] - found["bias"][upper] * BACKWARD  # (pairs, constants, 5)
+    cov = tracks["cov"][lower] + BACKWARD[:, None] * tracks["cov"][upper] * BACKWARD
+    slope = tracks["bias"][lower] - tracks["bias"][upper] * BACKWARD  # (pairs, constants, 5)
     yield Quantities(apart, cov, slope, event[lower])
 
 
-def known_tracks(found: Found, event: npt.NDArray[np.int64], helices: Floats, cov: Floats) -> Iterator[Quantities]:
+def known_tracks(tracks: Found, event: npt.NDArray[np.int64], helices: Floats, cov: Floats) -> Iterator[Quantities]:
     """Yield the difference of tracks from helices that are known otherwise, by another program or detector.
 
     Parameters
     ----------
-    found : mapping of str to ndarray
+    tracks : mapping of str to ndarray
         Of the core, with ``bias``.
     event : ndarray, (n,) int64
     helices, cov : ndarray, (n, 5) and (n, 5, 5) float64
         NaN for tracks that are not known; errors are taken as independent of those of our fit.
     """
-    rows = np.flatnonzero((found["used"] == 1) & np.isfinite(helices).all(axis=1))
+    rows = np.flatnonzero((tracks["used"] == 1) & np.isfinite(helices).all(axis=1))
     if not len(rows):
         return
-    apart = found["helix"][rows] - helices[rows]
+    apart = tracks["helix"][rows] - helices[rows]
     apart[:, 1] = helix.wrap_angle(apart[:, 1])
-    yield Quantities(apart, found["cov"][rows] + cov[rows], found["bias"][rows], event[rows])
+    yield Quantities(apart, tracks["cov"][rows] + cov[rows], tracks["bias"][rows], event[rows])
 
 
 def _from_one_point(
-    found: Found, rows: npt.NDArray[np.intp], event: npt.NDArray[np.int64], mass: Floats, charge: Floats,
+    of_tracks: Found, rows: npt.NDArray[np.intp], event: npt.NDArray[np.int64], mass: Floats, charge: Floats,
     settings: AlignmentSettings,
 ) -> Quantities | None:  # fmt: skip
     """Return the quantities of events with equally many tracks, rows (events, tracks): they leave one point.
@@ -122,9 +122,9 @@ def _from_one_point(
     lines = "beam_line" in settings.pairs
     if not (joined or with_mass or lines):
         return None
-    x = found["helix"][rows]  # (events, tracks, 5)
+    x = of_tracks["helix"][rows]  # (events, tracks, 5)
     cosine, sine, tanl = np.cos(x[..., 1]), np.sin(x[..., 1]), x[..., 4]
-    zero, one = np.zeros((n, tracks)), np.ones((n, tracks))
+    zero, unity = np.zeros((n, tracks)), np.ones((n, tracks))
     values, by_helix, by_point = [], [], []
     if joined or lines:
         values.append(x[..., 0])
@@ -133,7 +133,7 @@ def _from_one_point(
     if joined:
         values.append(x[..., 3])
         by_helix.append(np.eye(5)[3] * np.ones((n, tracks, 1)))
-        by_point.append(np.stack([tanl * sine, -tanl * cosine, one], axis=-1))
+        by_point.append(np.stack([tanl * sine, -tanl * cosine, unity], axis=-1))
     k = tracks * len(values) + with_mass
     apart, jacobian, spread = np.zeros((n, k)), np.zeros((n, k, tracks, 5)), np.zeros((n, k, 3))
     for i, (value, derivative, point) in enumerate(zip(values, by_helix, by_point, strict=True)):
@@ -149,10 +149,10 @@ def _from_one_point(
         apart[:, -1] -= settings.mass or 0.0
     across = settings.beam_width if lines else (_ANYWHERE, _ANYWHERE)
     cov = np.einsum("nip,p,njp->nij", spread, np.array([*across, _ANYWHERE]) ** 2, spread)
-    cov += np.einsum("nita,ntab,njtb->nij", jacobian, found["cov"][rows], jacobian, optimize=True)
+    cov += np.einsum("nita,ntab,njtb->nij", jacobian, of_tracks["cov"][rows], jacobian, optimize=True)
     if with_mass:
         cov[:, -1, -1] += settings.mass_width**2
-    slope = np.einsum("nita,ntca->nci", jacobian, found["bias"][rows], optimize=True)
+    slope = np.einsum("nita,ntca->nci", jacobian, of_tracks["bias"][rows], optimize=True)
     return Quantities(apart, cov, slope, event)
 
 

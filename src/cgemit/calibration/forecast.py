@@ -80,12 +80,12 @@ class AlignmentForecast(Determined):
         points = points_of(particle, p, cos_theta, samples=_SAMPLES)
         _, tracks = tracks_at(points, self.detector, DigitizeSettings(), self.fit)
         added = self(tracks)
-        found = {}
+        errors = {}
         for name in ("dr", "dz", "p"):
             known = quantity_of(name)
             variance = known.variance(added, tracks.kappa, tracks.tanl, tracks.charge)
-            found[name] = float(np.sqrt(np.nanmean(variance)) / known.factor)
-        return found
+            errors[name] = float(np.sqrt(np.nanmean(variance)) / known.factor)
+        return errors
 
     def __call__(self, tracks: Tracks) -> Floats:
         """Return the covariances of helices that the errors of the constants make.
@@ -105,13 +105,13 @@ class AlignmentForecast(Determined):
         phi0 = helix.wrap_angle(tracks.phi - 0.5 * np.pi)
         helices = np.stack([zero, phi0, tracks.kappa, zero, tracks.tanl], axis=1)
         expected = tracks.run(budget=False, hits=True)
-        offsets, hits, given, good = as_fitted(core, expected, helices, tracks.mass, tracks.charge)
+        offsets, hits, of_tracks, good = as_fitted(core, expected, helices, tracks.mass, tracks.charge)
         prior = [WIDER * sigma for sigma in tracks.fit.prior_in(tracks.detector)]
         columns = columns_of(tracks.detector, self.solution.constants)
-        bias = core_sums(core, columns, offsets, hits, given, good, prior, bias=True)["bias"]
-        found = np.full((n, 15), np.nan)
-        found[good] = np.einsum("nci,cd,ndj->nij", bias, self.cov, bias, optimize=True)[:, UPPER[0], UPPER[1]]
-        return found
+        bias = core_sums(core, columns, offsets, hits, of_tracks, good, prior, bias=True)["bias"]
+        cov = np.full((n, 15), np.nan)
+        cov[good] = np.einsum("nci,cd,ndj->nij", bias, self.cov, bias, optimize=True)[:, UPPER[0], UPPER[1]]
+        return cov
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = []
@@ -183,20 +183,20 @@ def alignment_forecast(
     pairs = list(samples) if isinstance(samples, Sequence) else []
     if not pairs:
         problems.note("samples", repr(samples)[:80], "pairs of a gun or sample and its number of events")
-    for number, pair in enumerate(pairs):
+    for i, pair in enumerate(pairs):
         if not (isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], Source | Guns)):
-            problems.note(f"samples[{number}]", repr(pair)[:80], "a gun or sample and its number of events")
+            problems.note(f"samples[{i}]", repr(pair)[:80], "a gun or sample and its number of events")
         elif not is_whole(pair[1], 1, 2**62):
-            problems.note(f"samples[{number}]", repr(pair[1])[:80], "a whole number of events, at least 1")
+            problems.note(f"samples[{i}]", repr(pair[1])[:80], "a whole number of events, at least 1")
     problems.report("alignment_forecast")
     free, fixed, priors = plan_of(detector, settings)
     total = Sums.none(len(free))
     with pool_of(Workers(threads=threads)) as pool:
-        for number, (source, events) in enumerate(pairs):
+        for i, (source, events) in enumerate(pairs):
             followed = min(events, MOST_EVENTS)
             # Samples share no direction.
             sums = expected_sums(
-                detector, source, followed, free, fit, seed=seed + number, reveal_sides=reveal_sides,
+                detector, source, followed, free, fit, seed=seed + i, reveal_sides=reveal_sides,
                 settings=settings, pool=pool,
             )  # fmt: skip
             total = total + sums.scaled(events / followed)

@@ -96,28 +96,28 @@ def write_mille(
     with new_file(binary, overwrite=overwrite) as records, new_file(steering, overwrite=overwrite) as text:
         sums, events = Sums.none(len(free)), list[tuple[int, Rows]]()
         with pool_of(Workers(threads=threads)) as pool:
-            for number, source in enumerate(sources):
+            for run_number, source in enumerate(sources):
                 tuned = replace(source.fit, outlier_pull=settings.outlier_pull[-1])
                 tables = tables_of(source, described)
-                one = fitted_sums(described, tables, free, tuned, settings=settings, pool=pool, rows=True)
-                events += [(number, rows) for rows in one.rows]
-                sums = sums + replace(one, rows=())
-        found = solve(described, free, sums, priors, constrain=settings.zero_modes == "constrained")
+                of_run = fitted_sums(described, tables, free, tuned, settings=settings, pool=pool, rows=True)
+                events += [(run_number, rows) for rows in of_run.rows]
+                sums = sums + replace(of_run, rows=())
+        solution = solve(described, free, sums, priors, constrain=settings.zero_modes == "constrained")
         with records.open("wb") as file:
             for record in _records(events):
                 file.write(record)
-        text.write_text(_steering(binary.name, found), encoding="utf-8")
-    return found
+        text.write_text(_steering(binary.name, solution), encoding="utf-8")
+    return solution
 
 
 def _records(events: Sequence[tuple[int, Rows]]) -> Iterator[bytes]:
     """Yield a record for every event."""
     merged: dict[tuple[int, int], list[tuple[Rows, npt.NDArray[np.intp]]]] = {}
-    for number, rows in events:
+    for run_number, rows in events:
         order = np.argsort(rows.event, kind="stable")
         borders = np.flatnonzero(np.diff(rows.event[order])) + 1
-        for part in np.split(order, borders) if len(order) else []:
-            merged.setdefault((number, int(rows.event[part[0]])), []).append((rows, part))
+        for rows_of_event in np.split(order, borders) if len(order) else []:
+            merged.setdefault((run_number, int(rows.event[rows_of_event[0]])), []).append((rows, rows_of_event))
     for parts in merged.values():
         values, labels = [0.0], [0]  # the first pair is empty
 
@@ -128,8 +128,8 @@ def _records(events: Sequence[tuple[int, Rows]]) -> Iterator[bytes]:
         add(0.0, 0)
         add(*_LOCAL)
         add(1.0, 0)
-        for rows, part in parts:
-            for row in part:
+        for rows, rows_of_event in parts:
+            for row in rows_of_event:
                 begin = rows.ends[row - 1] if row else 0
                 add(float(rows.residual[row]), 0)
                 add(float(rows.error[row]), 0)
@@ -144,20 +144,20 @@ def _packed(values: Sequence[float], labels: Sequence[int]) -> bytes:
     return length.tobytes() + np.array(values, "<f8").tobytes() + np.array(labels, "<i4").tobytes()
 
 
-def _steering(binary: str, found: Solution) -> str:
+def _steering(binary: str, solution: Solution) -> str:
     """Return a steering file: surveys as measurements, zero modes as constraints."""
     lines = ["* Records of cgemit; labels:"]
-    lines += [f"* {i + 1} {one.name} [{one.unit or '1'}]" for i, one in enumerate(found.constants)]
+    lines += [f"* {i + 1} {one.name} [{one.unit or '1'}]" for i, one in enumerate(solution.constants)]
     lines += ["Cfiles", binary]
-    unknown = [i for i in range(len(found.constants)) if not (found.measured[i] > 0 or found.prior[i] > 0)]
+    unknown = [i for i in range(len(solution.constants)) if not (solution.measured[i] > 0 or solution.prior[i] > 0)]
     if unknown:
         lines += ["Parameter", *(f"{i + 1} 0.0 -1.0" for i in unknown)]
     # A pre-sigma would hold the steps of an iteration alone, not the values.
-    for i in np.flatnonzero(np.isfinite(found.prior)):
-        lines += [f"Measurement 0.0 {found.prior[i]:.10g} ! survey", f"{i + 1} 1.0"]
-    for name, zero in zip(found.zero_modes, found.zeros, strict=True):
+    for i in np.flatnonzero(np.isfinite(solution.prior)):
+        lines += [f"Measurement 0.0 {solution.prior[i]:.10g} ! survey", f"{i + 1} 1.0"]
+    for name, zero in zip(solution.zero_modes, solution.zeros, strict=True):
         lines += [f"Constraint 0.0 ! {name}"]
-        shares = zero * found.measured / np.abs(zero * found.measured).max()
+        shares = zero * solution.measured / np.abs(zero * solution.measured).max()
         lines += [f"{i + 1} {share:.12g}" for i, share in enumerate(shares) if share]
     return "\n".join([*lines, "method inversion 3 0.01", "end", ""])
 
@@ -174,17 +174,17 @@ def read_mille(path: str | os.PathLike[str]) -> Iterator[MilleRecord]:
     ValueError
         If the file ends within a record, or a record is none.
     """
-    data, at, number = Path(path).read_bytes(), 0, 0
+    data, at, record = Path(path).read_bytes(), 0, 0
     while at < len(data):
         words = int(np.frombuffer(data[at : at + 4].ljust(4, b"\0"), "<i4")[0])
         double, n = words < 0, abs(words) // 2
         size = n * (12 if double else 8)
         if words % 2 or n < 2 or at + 4 + size > len(data):
-            raise ValueError(f"{path}: record {number}: got {words} words, expected those of a record of Mille")
+            raise ValueError(f"{path}: record {record}: got {words} words, expected those of a record of Mille")
         values = np.frombuffer(data, "<f8" if double else "<f4", n, at + 4)
         labels = np.frombuffer(data, "<i4", n, at + 4 + n * (8 if double else 4))
-        yield _record(values, labels, f"{path}: record {number}")
-        at, number = at + 4 + size, number + 1
+        yield _record(values, labels, f"{path}: record {record}")
+        at, record = at + 4 + size, record + 1
 
 
 def _record(values: npt.NDArray[Any], labels: npt.NDArray[np.int32], where: str) -> MilleRecord:

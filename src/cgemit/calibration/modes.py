@@ -38,18 +38,20 @@ def known_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, 
         Free ones.
     """
     names = [one.name for one in constants]
-    known, found = set(names), dict[str, Floats]()
+    known, vectors = set(names), dict[str, Floats]()
     wholes = [layer.path for layer in detector.layers] + ["drift_chamber"] * (detector.drift_chamber is not None)
     for key in PLACEMENT:
         moved: dict[str, float] = {}
         for path in wholes:
             ways = (way for way in [[f"{path}.{key}"], *_finer(detector, known, path, key)] if known.issuperset(way))
             moved |= dict.fromkeys(next(ways, []), 1.0)
-        found[f"common {key}"] = _vector(names, moved)
+        vectors[f"common {key}"] = _vector(names, moved)
     # A turn of all about the beam line turns the shifts, too.
-    for part in {one.part for one in constants if one.key in PLACEMENT}:
-        shift_x, shift_y = (_value(detector, f"{part}.shift_{axis}") for axis in "xy")
-        found["common rotation"] += _vector(names, {f"{part}.shift_x": -shift_y, f"{part}.shift_y": shift_x})
+    for part_path in {one.part for one in constants if one.key in PLACEMENT}:
+        shift_x, shift_y = (_value(detector, f"{part_path}.shift_{axis}") for axis in "xy")
+        vectors["common rotation"] += _vector(
+            names, {f"{part_path}.shift_x": -shift_y, f"{part_path}.shift_y": shift_x}
+        )
     for layer in detector.cgem:
         path = layer.path
         for way in ([f"{path}.rotation"], *_finer(detector, known, path, "rotation")):
@@ -57,18 +59,18 @@ def known_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, 
                 # About the axis of the layer itself.
                 values = dict.fromkeys(way, 1.0) | {f"{path}.{LORENTZ}": layer.r_readout}
                 values |= {f"{path}.tilt_x": layer.tilt_y, f"{path}.tilt_y": -layer.tilt_x}
-                found.setdefault(f"Lorentz shift and rotation of {layer.label}", _vector(names, values))
+                vectors.setdefault(f"Lorentz shift and rotation of {layer.label}", _vector(names, values))
     parts = [*wholes, *dict.fromkeys(one.part for one in constants if one.part not in wholes)]
     for path in parts:
         for key in (*PLACEMENT, *END_SHIFT):
             for way in _finer(detector, known, path, key):
                 if known.issuperset({f"{path}.{key}", *way}):
                     values = {f"{path}.{key}": 1.0} | dict.fromkeys(way, -1.0)
-                    found[f"{path}.{key} and {way[0].rpartition('.')[2]} of its parts"] = _vector(names, values)
-    found |= _times(detector, names)
+                    vectors[f"{path}.{key} and {way[0].rpartition('.')[2]} of its parts"] = _vector(names, values)
+    vectors |= _times(detector, names)
     for name in names:
-        found[name] = _vector(names, {name: 1.0})
-    return {name: vector for name, vector in found.items() if np.any(vector)}
+        vectors[name] = _vector(names, {name: 1.0})
+    return {name: vector for name, vector in vectors.items() if np.any(vector)}
 
 
 def _finer(detector: Detector, known: set[str], path: str, key: str) -> list[list[str]]:
@@ -95,17 +97,17 @@ def _finer(detector: Detector, known: set[str], path: str, key: str) -> list[lis
 def _times(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:
     """Return changes of the relation of drift distance and time that are changes of its zero, and the like."""
     wires, points = detector.wires, points_of_relation(detector)
-    found = {}
+    vectors = {}
     shared = [f"drift_chamber.drift_relation.{k}mm" for k in points]
     zeros = dict.fromkeys((f"{one.path}.t0" for one in wires), -1.0)
-    found["t0 of all wire layers and their relation"] = _all(names, dict.fromkeys(shared, 1.0) | zeros)
-    for one in wires:
-        own = dict.fromkeys((f"{one.path}.drift_relation.{k}mm" for k in points), 1.0)
-        found[f"t0 and relation of {one.path}"] = _all(names, own | {f"{one.path}.t0": -1.0})
+    vectors["t0 of all wire layers and their relation"] = _all(names, dict.fromkeys(shared, 1.0) | zeros)
+    for layer in wires:
+        shifts = dict.fromkeys((f"{layer.path}.drift_relation.{k}mm" for k in points), 1.0)
+        vectors[f"t0 and relation of {layer.path}"] = _all(names, shifts | {f"{layer.path}.t0": -1.0})
     for k, name in zip(points, shared, strict=True):
-        own = dict.fromkeys((f"{one.path}.drift_relation.{k}mm" for one in wires), -1.0)
-        found[f"relation of all wire layers and of each at {k} mm"] = _all(names, {name: 1.0} | own)
-    return found
+        shifts = dict.fromkeys((f"{one.path}.drift_relation.{k}mm" for one in wires), -1.0)
+        vectors[f"relation of all wire layers and of each at {k} mm"] = _all(names, {name: 1.0} | shifts)
+    return vectors
 
 
 def _all(names: Sequence[str], values: Mapping[str, float]) -> Floats:
@@ -148,10 +150,10 @@ class Modes(Shown, Tabular):
 
     def columns(self) -> dict[str, list[object]]:
         """Return name, share, size (mm) and the constants of each mode."""
-        found: dict[str, list[object]] = {
+        columns: dict[str, list[object]] = {
             "name": list(self.names), "share": list(self.shares), "size_mm": list(self.sizes)
         }  # fmt: skip
-        return found | {name: list(self.shapes[:, i]) for i, name in enumerate(self.constants)}
+        return columns | {name: list(self.shapes[:, i]) for i, name in enumerate(self.constants)}
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = [
@@ -252,15 +254,15 @@ class Solution:
         values, vectors = np.linalg.eigh(self.cov * reach[:, None] * reach)
         for i in np.argsort(-values)[: max(number - len(shapes), 0)]:
             moved = vectors[:, i] / np.abs(vectors[:, i]).max()
-            found = {
+            overlaps = {
                 name: float(np.dot(moved, one * reach) ** 2 / np.dot(moved, moved) / np.dot(one * reach, one * reach))
                 for name, one in patterns.items()
             }
-            best = max(found, key=lambda name: found[name]) if found else ""
+            best = max(overlaps, key=lambda name: overlaps[name]) if overlaps else ""
             shapes.append(moved / reach)
             sizes.append(float(np.sqrt(max(values[i], 0)) * np.abs(vectors[:, i]).max()))
             names.append(best)
-            shares.append(found.get(best, 0.0))
+            shares.append(overlaps.get(best, 0.0))
         shown = slice(0, number)
         array = np.array(shapes[shown]).reshape(-1, len(self.constants))
         return Modes(tuple(names[shown]), tuple(shares[shown]), tuple(sizes[shown]), array, self.names)
@@ -316,12 +318,12 @@ def _reach(detector: Detector, constant: Constant) -> float:
 
 def _patterns(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:
     """Return the constants of each pattern that the parts can follow."""
-    found = {name: _vector(names, pattern_values(detector, name)[0]) for name in PATTERNS}
+    vectors = {name: _vector(names, pattern_values(detector, name)[0]) for name in PATTERNS}
     parts = {name.rpartition(".")[0] for name in names if name.rpartition(".")[2] in PLACEMENT}
     for key in PLACEMENT:
-        found[f"common {key}"] = _vector(names, {f"{part}.{key}": 1.0 for part in parts})
-    found |= {name: _vector(names, {name: 1.0}) for name in names}
-    return {name: vector for name, vector in found.items() if np.any(vector)}
+        vectors[f"common {key}"] = _vector(names, {f"{part}.{key}": 1.0 for part in parts})
+    vectors |= {name: _vector(names, {name: 1.0}) for name in names}
+    return {name: vector for name, vector in vectors.items() if np.any(vector)}
 
 
 def solve(

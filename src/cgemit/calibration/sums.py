@@ -140,14 +140,14 @@ def fitted_sums(
     known, size = distance > _KNOWN * hits.sigma, np.abs(out["used_value"])
     columns["value"] = np.where(wire, np.where(known, size, 2 * size + 1), hits.value)
     counts = np.diff(hits.hit_offsets)
-    given = {
+    of_tracks = {
         "reference": out["reference"], "mass": fitted.mass, "matter_p": out["matter_p"],
         "kinks": out["kinks"].reshape(len(counts), -1), "start_radius": fitted.radii,
         "charge": np.asarray(fitted.charge, np.float64),
     }  # fmt: skip
     event = tables["candidates"]["event"][fitted.candidate]
     return track_sums(
-        fitted.core, detector, constants, hits.hit_offsets, columns, given, good, event, fit,
+        fitted.core, detector, constants, hits.hit_offsets, columns, of_tracks, good, event, fit,
         settings=settings, pool=pool, rows=rows,
         reference=_known_tracks(tables["reference"], fitted.candidate, fitted.mass) if "reference" in tables else None,
     )  # fmt: skip
@@ -158,16 +158,16 @@ def _known_tracks(known: Table, candidate: npt.NDArray[np.int64], mass: Floats) 
 
     Of the tracks of a candidate with several masses, the one with the mass nearest to that of our fit counts.
     """
-    found = np.full((len(candidate), 5), np.nan), np.full((len(candidate), 5, 5), np.nan)
+    values = np.full((len(candidate), 5), np.nan), np.full((len(candidate), 5, 5), np.nan)
     rows = np.flatnonzero((known["status"] == FitStatus.ok) & (known["candidate"] >= 0))
     masses = np.array([usual_mass(int(pdg)) if pdg else np.nan for pdg in known["hypothesis"][rows]])
     for i, one in enumerate(candidate):
-        mine = np.flatnonzero(known["candidate"][rows] == one)
-        if len(mine):
-            row = rows[mine[np.argmin(np.nan_to_num(np.abs(masses[mine] - mass[i])))]]
-            found[0][i] = [known[name][row] for name in helix.PARAMETERS]
-            found[1][i] = known["cov"][row]
-    return found
+        own_rows = np.flatnonzero(known["candidate"][rows] == one)
+        if len(own_rows):
+            row = rows[own_rows[np.argmin(np.nan_to_num(np.abs(masses[own_rows] - mass[i])))]]
+            values[0][i] = [known[name][row] for name in helix.PARAMETERS]
+            values[1][i] = known["cov"][row]
+    return values
 
 
 def residual_means(detector: Detector, tables: Mapping[str, Table], fit: FitSettings) -> dict[str, tuple[float, float]]:
@@ -188,15 +188,15 @@ def residual_means(detector: Detector, tables: Mapping[str, Table], fit: FitSett
     fitted = fit_columns(detector, clusters, wire_hits, candidates, candidate_hits, replace(fit, residuals=True))
     out, hits = fitted.out, fitted.hits
     good = (out["used"] == 1) & (out["err"] > 0)
-    found = {}
-    for number, layer in enumerate(detector.layers):
+    means = {}
+    for layer_number, layer in enumerate(detector.layers):
         for view, name in enumerate("XV"):
-            rows = good & (hits.kind == view) & (hits.layer == number)
+            rows = good & (hits.kind == view) & (hits.layer == layer_number)
             weight = 1 / out["err"][rows] ** 2
             if len(weight):
                 mean = float(np.sum(weight * out["residual"][rows]) / np.sum(weight))
-                found[f"{layer.label} {name}"] = mean, float(1 / np.sqrt(np.sum(weight)))
-    return found
+                means[f"{layer.label} {name}"] = mean, float(1 / np.sqrt(np.sum(weight)))
+    return means
 
 
 def expected_sums(
@@ -226,9 +226,9 @@ def expected_sums(
     rows = np.flatnonzero(np.isfinite(helices).all(axis=1))
     helices, event = helices[rows], particles["event"][rows]
     mass, charge = (np.asarray(particles[name], np.float64)[rows] for name in ("mass", "charge"))
-    given = expected_tracks(detector, helices, mass, np.abs(charge), fit, reveal_sides=reveal_sides)
+    expected = expected_tracks(detector, helices, mass, np.abs(charge), fit, reveal_sides=reveal_sides)
     return track_sums(
-        compiled_for_fit(detector, fit), detector, constants, *given[:3], given[3], event, fit, settings=settings,
+        compiled_for_fit(detector, fit), detector, constants, *expected[:3], expected[3], event, fit, settings=settings,
         pool=pool,
     )  # fmt: skip
 
@@ -260,15 +260,15 @@ def expected_tracks(
     kappa, tanl = np.ascontiguousarray(helices[:, 2]), np.ascontiguousarray(helices[:, 4])
     views, parts = 2 * len(detector.layers), list[dict[str, Any]]()
     for first in range(0, n, _BLOCK):
-        one = slice(first, min(first + _BLOCK, n))
-        count = one.stop - first
+        block = slice(first, min(first + _BLOCK, n))
+        count = block.stop - first
         parts.append(
             _core.covariance.covariances(
-                core, phi=psi[one], kappa=kappa[one], tanl=tanl[one], mass=mass[one], charge=charge[one],
+                core, phi=psi[block], kappa=kappa[block], tanl=tanl[block], mass=mass[block], charge=charge[block],
                 scatters=np.zeros(count), samples=count,
                 phases=draws(count, 1 + views)[:, 1:] if views else np.zeros((count, 0)),
-                efficiencies=efficiencies_of(detector, kappa[one], tanl[one], mass[one], charge[one]),
-                model=model | {"seed": first}, budget=False, hits=True, dr=dr[one], dz=helices[one, 3],
+                efficiencies=efficiencies_of(detector, kappa[block], tanl[block], mass[block], charge[block]),
+                model=model | {"seed": first}, budget=False, hits=True, dr=dr[block], dz=helices[block, 3],
             )
         )  # fmt: skip
     if not parts:
@@ -279,38 +279,42 @@ def expected_tracks(
 
 
 def as_fitted(
-    core: _core.detector.Detector, found: Mapping[str, npt.NDArray[Any]], helices: Floats, mass: Floats, charge: Floats
+    core: _core.detector.Detector,
+    expected: Mapping[str, npt.NDArray[Any]],
+    helices: Floats,
+    mass: Floats,
+    charge: Floats,
 ) -> tuple[npt.NDArray[np.int64], dict[str, Any], dict[str, Any], npt.NDArray[np.intp]]:
     """Return expected hits as `track_sums` takes them; see `expected_tracks`.
 
     Parameters
     ----------
     core : _core.detector.Detector
-    found : mapping of str to ndarray
+    expected : mapping of str to ndarray
         As of `Tracks.run` with hits.
     helices : ndarray, (n, 5) float64
     mass, charge : ndarray, (n,) float64, GeV/c2 and e
     """
-    n, status = len(helices), found["status"]
-    counts = found["n_clusters"].astype(np.int64) + found["n_wires"]
-    found = {name.removeprefix("hit_"): one for name, one in found.items() if name.startswith("hit_")}
-    wire = found["kind"] == HIT_WIRE
+    n, status = len(helices), expected["status"]
+    counts = expected["n_clusters"].astype(np.int64) + expected["n_wires"]
+    expected = {name.removeprefix("hit_"): one for name, one in expected.items() if name.startswith("hit_")}
+    wire = expected["kind"] == HIT_WIRE
     hits = {
-        **{name: found[name] for name in ("kind", "layer", "channel", "k", "x")},
-        "size": np.zeros(len(wire), np.int32), "value": np.where(wire, np.abs(found["value"]), found["value"]),
-        "sigma": np.sqrt(found["variance"]), "used": np.ones(len(wire), np.uint8),
-        "used_value": found["value"], "used_variance": found["variance"],
+        **{name: expected[name] for name in ("kind", "layer", "channel", "k", "x")},
+        "size": np.zeros(len(wire), np.int32), "value": np.where(wire, np.abs(expected["value"]), expected["value"]),
+        "sigma": np.sqrt(expected["variance"]), "used": np.ones(len(wire), np.uint8),
+        "used_value": expected["value"], "used_variance": expected["variance"],
     }  # fmt: skip
-    given = {
+    of_tracks = {
         "reference": helices + np.array([0, 0.5 * np.pi, 0, 0, 0]), "mass": mass, "charge": charge,
         "matter_p": np.zeros(n), "kinks": np.zeros((n, 2 * core.n_slabs)), "start_radius": np.zeros(n),
     }  # fmt: skip
-    return np.concatenate([[0], np.cumsum(counts)]), hits, given, np.flatnonzero(status == FitStatus.ok)
+    return np.concatenate([[0], np.cumsum(counts)]), hits, of_tracks, np.flatnonzero(status == FitStatus.ok)
 
 
 def track_sums(
     core: _core.detector.Detector, detector: Detector, constants: Sequence[Constant], offsets: npt.NDArray[np.int64],
-    hits: Mapping[str, npt.NDArray[Any]], given: Mapping[str, npt.NDArray[Any]], good: npt.NDArray[np.intp],
+    hits: Mapping[str, npt.NDArray[Any]], of_tracks: Mapping[str, npt.NDArray[Any]], good: npt.NDArray[np.intp],
     event: npt.NDArray[np.int64], fit: FitSettings, *, settings: AlignmentSettings | None = None,
     pool: Executor | None = None, rows: bool = False, reference: tuple[Floats, Floats] | None = None,
 ) -> Sums:  # fmt: skip
@@ -321,7 +325,7 @@ def track_sums(
     core, detector : _core.detector.Detector, Detector
     constants : sequence of Constant
     offsets : ndarray, (n + 1,) int64
-    hits, given : mapping of str to ndarray
+    hits, of_tracks : mapping of str to ndarray
         Of the hits, and of the tracks.
     good : ndarray, int
         Rows of the tracks that are summed.
@@ -339,18 +343,18 @@ def track_sums(
     prior = [WIDER * sigma for sigma in fit.prior_in(detector)]
 
     def part(tracks: npt.NDArray[np.intp]) -> Sums:
-        found = core_sums(
-            core, columns, offsets, hits, given, tracks, prior, bias=bool(settings.pairs) or reference is not None,
+        out = core_sums(
+            core, columns, offsets, hits, of_tracks, tracks, prior, bias=bool(settings.pairs) or reference is not None,
             scattering=settings.scattering, innovations=rows,
         )  # fmt: skip
-        used = found["used"] == 1
+        used = out["used"] == 1
         sums = Sums(
-            found["normal"], found["right"], found["measured"], int(used.sum()), int(found["hits"][used].sum()),
-            chi2=float(found["chi2"][used].sum()), rows=_rows_of(found, event[tracks]) if rows else (),
+            out["normal"], out["right"], out["measured"], int(used.sum()), int(out["hits"][used].sum()),
+            chi2=float(out["chi2"][used].sum()), rows=_rows_of(out, event[tracks]) if rows else (),
         )  # fmt: skip
-        joined = quantities(found, event[tracks], given["mass"][tracks], given["charge"][tracks], settings)
+        joined = quantities(out, event[tracks], of_tracks["mass"][tracks], of_tracks["charge"][tracks], settings)
         if reference is not None:
-            joined = chain(joined, known_tracks(found, event[tracks], *(one[tracks] for one in reference)))
+            joined = chain(joined, known_tracks(out, event[tracks], *(one[tracks] for one in reference)))
         for one in joined:
             sums = sums + constrained(one, fit.outlier_pull, rows=rows)
         return sums
@@ -364,18 +368,18 @@ def track_sums(
 
 def _borders(good: npt.NDArray[np.intp], event: npt.NDArray[np.int64]) -> list[int]:
     """Return where blocks of tracks end, none within an event."""
-    found, last = [], 0
+    borders, last = [], 0
     starts = np.flatnonzero(np.diff(event[good])) + 1
     for start in starts.tolist():
         if start - last >= _BLOCK:
-            found.append(start)
+            borders.append(start)
             last = start
-    return found
+    return borders
 
 
 def core_sums(
     core: _core.detector.Detector, columns: dict[str, Any], offsets: npt.NDArray[np.int64],
-    hits: Mapping[str, npt.NDArray[Any]], given: Mapping[str, npt.NDArray[Any]], rows: npt.NDArray[np.intp],
+    hits: Mapping[str, npt.NDArray[Any]], tracks: Mapping[str, npt.NDArray[Any]], rows: npt.NDArray[np.intp],
     prior: Sequence[float], *, bias: bool = False, scattering: bool = True, innovations: bool = False,
 ) -> dict[str, npt.NDArray[Any]]:  # fmt: skip
     """Return what the core makes of some tracks.
@@ -386,57 +390,57 @@ def core_sums(
     columns : dict
         Of `columns_of`.
     offsets : ndarray, (n + 1,) int64
-    hits, given : mapping of str to ndarray
+    hits, tracks : mapping of str to ndarray
     rows : ndarray, int
     prior : sequence of float
     bias, scattering, innovations : bool
     """
-    of_tracks: dict[str, Any] = {name: column[rows] for name, column in given.items()}
+    of_tracks: dict[str, Any] = {name: column[rows] for name, column in tracks.items()}
     counts = np.diff(offsets)[rows]
     begin = np.concatenate([[0], np.cumsum(counts)])
     at = np.repeat(offsets[rows] - begin[:-1], counts) + np.arange(begin[-1])
-    found: dict[str, npt.NDArray[Any]] = _core.calibration.sums(
+    out: dict[str, npt.NDArray[Any]] = _core.calibration.sums(
         core, columns=columns, hit_offsets=begin, hits={name: column[at] for name, column in hits.items()},
         **of_tracks, prior_sigma=list(prior), bias=bias,
         scattering=scattering, innovations=innovations,
     )  # fmt: skip
-    return found
+    return out
 
 
 def _rows_of(of_core: Mapping[str, Any], event: npt.NDArray[np.int64]) -> tuple[Rows, ...]:
-    found = of_core["innovations"]
+    rows = of_core["innovations"]
     return (
         Rows(
-            event[found["track"]], found["residual"], np.sqrt(found["variance"]), found["ends"], found["column"],
-            found["derivative"],
+            event[rows["track"]], rows["residual"], np.sqrt(rows["variance"]), rows["ends"], rows["column"],
+            rows["derivative"],
         ),
     )  # fmt: skip
 
 
-def constrained(given: Quantities, pull: float, *, rows: bool = False) -> Sums:
+def constrained(measured: Quantities, pull: float, *, rows: bool = False) -> Sums:
     """Return the sums over quantities that are 0 but for errors and constants.
 
     Parameters
     ----------
-    given : Quantities
+    measured : Quantities
     pull : float
         Cut on the independent combinations of each; 0: as many times their median as `_WILD`, which displaced parts
         raise for all alike.
     rows : bool
     """
-    values, slope = given.whitened()
+    values, slope = measured.whitened()
     largest = np.abs(values).max(axis=1, initial=0.0)
     near = largest <= (pull or _WILD * max(1.0, float(np.median(largest)) if len(largest) else 1.0))
     values, slope, left_out = values[near], slope[near], int(np.sum(~near))
     n, constants, k = slope.shape
     flat = slope.transpose(0, 2, 1).reshape(n * k, constants)
-    kept: tuple[Rows, ...] = ()
+    kept_rows: tuple[Rows, ...] = ()
     if rows:
         row, column = np.nonzero(flat)
         ends = np.cumsum(np.bincount(row, minlength=n * k))
-        event, one = np.repeat(given.event[near], k), np.ones(n * k)
-        kept = (Rows(event, values.ravel(), one, ends, column.astype(np.int32), flat[row, column]),)
+        event, one = np.repeat(measured.event[near], k), np.ones(n * k)
+        kept_rows = (Rows(event, values.ravel(), one, ends, column.astype(np.int32), flat[row, column]),)
     return Sums(
         flat.T @ flat, flat.T @ values.ravel(), np.zeros(constants), pairs=n, left_out=left_out,
-        chi2=float(np.sum(values**2)), rows=kept,
+        chi2=float(np.sum(values**2)), rows=kept_rows,
     )  # fmt: skip
