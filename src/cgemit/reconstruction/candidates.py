@@ -123,13 +123,13 @@ def _repeated_points(candidate_hits: Table, clusters: Table) -> list[str]:
     if not len(points):
         return []
     strips = (view == HIT_X) | (view == HIT_V)
-    given = set(zip(candidate[strips].tolist(), row[strips].tolist(), strict=True))
+    strip_rows = set(zip(candidate[strips].tolist(), row[strips].tolist(), strict=True))
     return [
-        f"candidates row {candidate[i]}: got clusters row {row[i]}, an XV cluster, and row {part}, a part of it; "
+        f"candidates row {candidate[i]}: got clusters row {row[i]}, an XV cluster, and row {view_row}, a part of it; "
         "expected one of both"
         for i in points
         for name in ("x_cluster", "v_cluster")
-        if (int(candidate[i]), part := int(clusters[name][row[i]])) in given
+        if (int(candidate[i]), view_row := int(clusters[name][row[i]])) in strip_rows
     ]
 
 
@@ -179,19 +179,19 @@ def label_candidates(
     of_cluster = _without_repeats(clusters, of_cluster)
     rows = [np.flatnonzero(label >= 0) for label in (of_cluster, of_wire)]
     view = np.where(clusters["view"] == XV_CLUSTER, HIT_XV, clusters["view"])
-    event, number, row = (
+    event, label, row = (
         np.concatenate(pair)
         for pair in (
             (clusters["event"][rows[0]], wire_hits["event"][rows[1]]), (of_cluster[rows[0]], of_wire[rows[1]]), rows
         )
     )  # fmt: skip
-    order = np.lexsort((number, event))
-    event, number = event[order], number[order]
-    first = np.concatenate([[True], (np.diff(event) != 0) | (np.diff(number) != 0)])[: len(event)]
+    order = np.lexsort((label, event))
+    event, label = event[order], label[order]
+    first = np.concatenate([[True], (np.diff(event) != 0) | (np.diff(label) != 0)])[: len(event)]
     kind = HYPOTHESES[hypothesis]
     n = int(np.count_nonzero(first))
     candidates = {
-        "event": event[first], "candidate": number[first], "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass),
+        "event": event[first], "candidate": label[first], "pdg": np.full(n, kind.pdg), "mass": np.full(n, kind.mass),
         "charge": np.full(n, abs(kind.charge)),
     }  # fmt: skip
     hits = {
@@ -229,9 +229,9 @@ def _without_repeats(clusters: Table, label: Column) -> Column:
     """Return the labels with -1 for XV clusters whose X or V cluster has the same."""
     repeats = np.zeros(len(label), np.bool_)
     for name in ("x_cluster", "v_cluster"):
-        part = clusters[name]
-        known = np.flatnonzero((clusters["view"] == XV_CLUSTER) & (part >= 0) & (part < len(label)))
-        repeats[known] |= label[part[known]] == label[known]
+        view_row = clusters[name]
+        known = np.flatnonzero((clusters["view"] == XV_CLUSTER) & (view_row >= 0) & (view_row < len(label)))
+        repeats[known] |= label[view_row[known]] == label[known]
     return np.where(repeats, -1, label)
 
 
@@ -277,12 +277,12 @@ def finder_name(finder: object) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
-def check_found(found: object, finder: str, clusters: Table) -> dict[str, Table]:
+def check_found(returned: object, finder: str, clusters: Table) -> dict[str, Table]:
     """Return the tables that a finder has made.
 
     Parameters
     ----------
-    found : object
+    returned : object
         Its return value.
     finder : str
         Its name.
@@ -292,14 +292,16 @@ def check_found(found: object, finder: str, clusters: Table) -> dict[str, Table]
     Raises
     ------
     TypeError, ValueError
-        If `found` is not a mapping with tables of candidates and their hits, of the same events.
+        If `returned` is not a mapping with tables of candidates and their hits, of the same events.
     """
-    if not isinstance(found, Mapping) or not set(FOUND) <= set(found):
-        given = (
-            f"a mapping with {', '.join(map(repr, found)) or 'nothing'}" if isinstance(found, Mapping) else what(found)
+    if not isinstance(returned, Mapping) or not set(FOUND) <= set(returned):
+        got = (
+            f"a mapping with {', '.join(map(repr, returned)) or 'nothing'}"
+            if isinstance(returned, Mapping)
+            else what(returned)
         )
-        raise TypeError(f"finder {finder}: returned {given}; expected a mapping with 'candidates' and 'candidate_hits'")
-    tables = {name: found[name] for name in (*FOUND, MAY_FIND) if name in found}
+        raise TypeError(f"finder {finder}: returned {got}; expected a mapping with 'candidates' and 'candidate_hits'")
+    tables = {name: returned[name] for name in (*FOUND, MAY_FIND) if name in returned}
     problems = kind_problems(**tables) or [
         f"{name}: cover other events than the clusters; expected the same"
         for name, table in tables.items()

@@ -167,12 +167,12 @@ def cluster(
         detector = detector.with_readout(readout)
 
     def of_group(group: ReadoutGroup, digis: Table, directions: Floats | None) -> Table:
-        found = clusterer_of(group.readout).cluster(group, digis, settings, directions)
+        clusters = clusterer_of(group.readout).cluster(group, digis, settings, directions)
         if isinstance(group.readout, AnalogReadout):
-            _warn_of_times(group, digis, found)
+            _warn_of_times(group, digis, clusters)
         if settings.error_factors:
-            found = with_factors(detector, found, read_error_factors(settings.error_factors))
-        return made_by(f"readout {group.readout.name}", "clusters", found, digis)
+            clusters = with_factors(detector, clusters, read_error_factors(settings.error_factors))
+        return made_by(f"readout {group.readout.name}", "clusters", clusters, digis)
 
     groups = detector.groups
     if len(groups) == 1:
@@ -221,18 +221,18 @@ def read_by(detector: Detector, described: Detector, clusters: Table) -> Table:
     """
     x, v, phi, z = (clusters[name].copy() for name in ("x", "v", "phi", "z"))
     changed = False
-    for number, (old, new) in enumerate(zip(described.layers, detector.layers, strict=True)):
+    for layer_number, (old, new) in enumerate(zip(described.layers, detector.layers, strict=True)):
         shift = (new.lorentz_shift or 0.0) - (old.lorentz_shift or 0.0)
         if not shift and (old.sheet_z, old.sheet_phi) == (new.sheet_z, new.sheet_phi):
             continue
         changed = True
-        mine = np.flatnonzero(clusters["layer"] == number)
-        sheet = clusters["sheet"][mine]
+        rows = np.flatnonzero(clusters["layer"] == layer_number)
+        sheet = clusters["sheet"][rows]
         moved, turned = (
             np.subtract(b, a)[sheet] for a, b in ((old.sheet_z, new.sheet_z), (old.sheet_phi, new.sheet_phi))
         )
-        x[mine] -= shift
-        v[mine] -= shift * np.cos(new.stereo) + moved * np.sin(new.stereo)
-        z[mine] += moved
-        phi[mine] = wrap_angle(phi[mine] - shift / new.r_readout + turned)
+        x[rows] -= shift
+        v[rows] -= shift * np.cos(new.stereo) + moved * np.sin(new.stereo)
+        z[rows] += moved
+        phi[rows] = wrap_angle(phi[rows] - shift / new.r_readout + turned)
     return clusters.with_columns(x=x, v=v, phi=phi, z=z) if changed else clusters

@@ -125,18 +125,18 @@ def _gain_variance(readout: ChargeReadout) -> float:
 
 
 def _chip(readout: ChargeReadout) -> dict[str, float]:
-    found = asdict(errors_of(readout)) | {
+    columns = asdict(errors_of(readout)) | {
         "noise": readout.noise, "jitter": 0.0, "rise": 0.0, "level": 0.5, "gain_variance": _gain_variance(readout),
         "slope": SLOPE, "share_spread": 0.0,
     }  # fmt: skip
     survival = 1.0
     if isinstance(readout, AnalogReadout):
         survival = readout.survival
-        found |= {
+        columns |= {
             "jitter": readout.jitter, "rise": readout.chip.timing.peak, "level": readout.chip.level,
             "share_spread": readout.share_spread,
         }  # fmt: skip
-    return found | {"electrons_per_fC": 2 / (readout.gain * survival * ELECTRON)}  # a view has half of the charge
+    return columns | {"electrons_per_fC": 2 / (readout.gain * survival * ELECTRON)}  # a view has half of the charge
 
 
 def _thresholds(readout: ChargeReadout) -> tuple[float, float]:
@@ -149,11 +149,11 @@ def _planes(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...] | 
     """Return pitch, gap, velocity, variances of diffusion and cloud, and threshold of X, then of V of all layers."""
     rows = []
     for view, threshold in enumerate(_thresholds(readout)):
-        for number, layer in enumerate(cgem_layers(detector, cgem)):
+        for i, layer in enumerate(cgem_layers(detector, cgem)):
             pitch = layer.pitch_x if view == 0 else layer.pitch_v
             if isinstance(readout, AnalogReadout):
-                drift = {name: float(one[number]) for name, one in drift_columns(detector, cgem).items()}
-                cloud = float(cloud_widths(detector, readout.diffusion, cgem)[view, number]) ** 2
+                drift = {name: float(one[i]) for name, one in drift_columns(detector, cgem).items()}
+                cloud = float(cloud_widths(detector, readout.diffusion, cgem)[view, i]) ** 2
                 place = _place_variance(layer, readout, drift, view)
                 widths = drift["velocity"], place, cloud
             else:
@@ -179,14 +179,14 @@ def _shares(detector: Detector, readout: ChargeReadout, cgem: tuple[int, ...] | 
     variance = _gain_variance(readout)
     values, apart, times, logs = [], [], [], []
     drift = drift_columns(detector, cgem) if isinstance(readout, AnalogReadout) else None
-    for number, layer in enumerate(cgem_layers(detector, cgem)):
+    for i, layer in enumerate(cgem_layers(detector, cgem)):
         mean = float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * layer.drift_gap
         table = cluster_shares(layer.gas.ionization)
         values.append([table.shares(mean * path, _NUMBERS, variance) for path in _PATHS])
         numbers = table.quantiles(mean)
         apart.append(math.sqrt(2) * float(np.std(np.log(numbers))))
         logs.append(float(np.mean(np.log(numbers))))
-        velocity = 1.0 if drift is None else float(drift["velocity"][number])
+        velocity = 1.0 if drift is None else float(drift["velocity"][i])
         height = layer.drift_gap**2 / 12 * float(np.mean(table.shares(mean, numbers, variance)))
         times.append(math.sqrt(2 * height) / velocity)
     return {
@@ -302,32 +302,32 @@ def expected_errors(
     slopes = np.array(
         [
             [
-                -tan * one.r_readout / one.r_mid + 0 * tilt,
-                -math.sin(one.stereo) * tilt - tan * math.cos(one.stereo) * one.r_readout / one.r_mid,
+                -tan * layer.r_readout / layer.r_mid + 0 * tilt,
+                -math.sin(layer.stereo) * tilt - tan * math.cos(layer.stereo) * layer.r_readout / layer.r_mid,
             ]
-            for tan, one in zip(lorentz, layers, strict=True)
+            for tan, layer in zip(lorentz, layers, strict=True)
         ]
     )  # (layers, 2, angles)
     numbers = np.array(
         [
             [
-                cluster_shares(one.gas.ionization).quantiles(
-                    float(clusters_per_mm(one.gas, np.array([_MUON]))[0]) * one.drift_gap * length
+                cluster_shares(layer.gas.ionization).quantiles(
+                    float(clusters_per_mm(layer.gas, np.array([_MUON]))[0]) * layer.drift_gap * length
                 )
                 for length in path
             ]
-            for one in layers
+            for layer in layers
         ]
     )  # (layers, angles, numbers)
     variances = np.empty((2, *numbers.shape))
     plane = {name: values.reshape(2, len(layers)) for name, values in inputs.planes.items()}
-    for view, number in np.ndindex(2, len(layers)):
-        slope = np.broadcast_to(slopes[number, view][:, None], numbers[number].shape)
-        variances[view, number] = _core.reconstruction.charge_variances(
+    for view, i in np.ndindex(2, len(layers)):
+        slope = np.broadcast_to(slopes[i, view][:, None], numbers[i].shape)
+        variances[view, i] = _core.reconstruction.charge_variances(
             chip=inputs.chip, planes=inputs.planes, shares=inputs.shares,
-            estimator=estimator, of_track=of_track, view=view, layer=number, slope=slope.ravel(),
-            path=np.repeat(path, numbers.shape[2]), number=numbers[number].ravel(),
-        ).reshape(numbers[number].shape)  # fmt: skip
+            estimator=estimator, of_track=of_track, view=view, layer=i, slope=slope.ravel(),
+            path=np.repeat(path, numbers.shape[2]), number=numbers[i].ravel(),
+        ).reshape(numbers[i].shape)  # fmt: skip
     sigma = np.exp(0.5 * np.log(variances).mean(axis=-1))
     # X and V of a crossing come from the same electrons.
     chip = inputs.chip
@@ -411,11 +411,11 @@ class ErrorFactors(Shown, Tabular):
         ----------
         layer, view, size : ndarray, (n,) int
         """
-        found = np.ones(len(layer))
+        factors = np.ones(len(layer))
         size = np.minimum(size, LARGEST_SIZE)
         for i in range(len(self.layer)):
-            found[(layer == self.layer[i]) & (view == self.view[i]) & (size == self.size[i])] = self.factor[i]
-        return found
+            factors[(layer == self.layer[i]) & (view == self.view[i]) & (size == self.size[i])] = self.factor[i]
+        return factors
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the table as CSV, as the setting `cluster.error_factors` reads it, and return its path.
@@ -456,7 +456,7 @@ def read_error_factors(path: str) -> ErrorFactors:
         raise ValueError(
             f"{path}: line 1: got {','.join(rows[0] if rows else [])!r:.80}, expected {','.join(_COLUMNS)}"
         )
-    problems, found = [], []
+    problems, factor_rows = [], []
     for line, row in enumerate(rows[1:], 2):
         try:
             layer, view, size, hits = (int(cell) for cell in row[:4])
@@ -469,9 +469,9 @@ def read_error_factors(path: str) -> ErrorFactors:
                 f"line {line}: got {','.join(row)!r:.80}, expected a layer, view 0 or 1, size 1 to {LARGEST_SIZE}, "
                 "and a factor above 0 and below 1000"
             )
-        found.append((layer, view, size, hits, factor, err))
+        factor_rows.append((layer, view, size, hits, factor, err))
     report(path, problems)
-    columns = np.array(found, np.float64).reshape(-1, len(_COLUMNS)).T
+    columns = np.array(factor_rows, np.float64).reshape(-1, len(_COLUMNS)).T
     return ErrorFactors(*(column.astype(np.int64) for column in columns[:4]), *columns[4:])
 
 

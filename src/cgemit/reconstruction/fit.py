@@ -137,11 +137,11 @@ class FitSettings(SettingsData):
 
     def contradictions(self, problems: Problems) -> None:
         """Note several hypotheses that do not go together."""
-        given = self.hypothesis
-        if isinstance(given, tuple) and len(given) > 1 and "all" in given:
-            problems.note("hypothesis", repr(given), "'all' alone")
-        elif isinstance(given, tuple) and len(set(map(str, given))) < len(given):
-            problems.note("hypothesis", repr(given), "each name once")
+        names = self.hypothesis
+        if isinstance(names, tuple) and len(names) > 1 and "all" in names:
+            problems.note("hypothesis", repr(names), "'all' alone")
+        elif isinstance(names, tuple) and len(set(map(str, names))) < len(names):
+            problems.note("hypothesis", repr(names), "each name once")
         if self.beam is not None and self.states:
             problems.note("beam", repr(self.beam), "None with states, which do without the beam spot")
 
@@ -234,12 +234,12 @@ def with_wider_momenta(tracks: Table, err_p: Floats) -> Table:
     """
     before, tracks = tracks["err_p"], tracks.with_columns(err_p=err_p)
     limits, added = momentum_limits(tracks["p"], err_p), added_error(tracks, before)
-    own = tracks["p_mode"] != tracks["p"]
+    moved = tracks["p_mode"] != tracks["p"]
     for name in list(limits):
         sigmas = 0.0 if name == "p_mode" else NORMAL_95 if name.endswith("95") else NORMAL_68
         change = np.log(tracks[name] / tracks["p_mode"])
         wider = tracks["p_mode"] * np.exp(np.copysign(np.hypot(change, sigmas * added), change))
-        limits[name] = np.where(own, wider, limits[name])
+        limits[name] = np.where(moved, wider, limits[name])
     return tracks.with_columns(**limits)
 
 
@@ -317,7 +317,7 @@ def fit(
     core, hits, candidate, pdg, mass, charge, radii, out = fitted
     names = settings.hypotheses()
     event = candidates["event"].take(candidate)
-    about = candidates.cover | {
+    cover = candidates.cover | {
         "meta": {name: candidates.meta[name] for name in ("finder", "hypothesis") if name in candidates.meta}
         | ({"hypothesis": ", ".join(names)} if names else {})
         | {"momentum": settings.momentum or USUAL_MOMENTUM}
@@ -325,15 +325,15 @@ def fit(
     }
     columns = _track_columns(out, event, candidate, pdg, charge)
     columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)
-    tables = {"tracks": Table("tracks", columns, **about)}
+    tables = {"tracks": Table("tracks", columns, **cover)}
     if settings.residuals:
-        tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **about)
+        tables["residuals"] = Table("residuals", _residual_columns(out, hits, event), **cover)
     if settings.components:
-        tables["components"] = Table("components", _component_columns(out, event), **about)
+        tables["components"] = Table("components", _component_columns(out, event), **cover)
     if settings.states:
         settled = is_fitted(tables["tracks"])
         columns = state_columns(detector, core, settings.states, tables["tracks"], mass, radii, hits, out, settled)
-        tables["states"] = Table("states", columns, **about)
+        tables["states"] = Table("states", columns, **cover)
     return tables
 
 
@@ -391,11 +391,11 @@ def fit_columns(
     return FittedColumns(core, hits, candidate, pdg, mass, charge, radii, out)
 
 
-def _start(given: npt.ArrayLike | None, n: int) -> Floats:
+def _start(time: npt.ArrayLike | None, n: int) -> Floats:
     """Return the starting helices, (n, 5), or (0, 5) for none."""
-    if given is None:
+    if time is None:
         return np.empty((0, 5))
-    start = np.ascontiguousarray(given, np.float64)
+    start = np.ascontiguousarray(time, np.float64)
     if start.shape != (n, 5):
         raise ValueError(f"start: got shape {start.shape}, expected ({n}, 5), a helix for each candidate")
     wrong = np.flatnonzero(~np.isfinite(start).all(axis=1))
@@ -405,7 +405,7 @@ def _start(given: npt.ArrayLike | None, n: int) -> Floats:
 
 
 def compiled_for_fit(
-    detector: Detector, settings: FitSettings, kept: Detector | None = None
+    detector: Detector, settings: FitSettings, full: Detector | None = None
 ) -> _core.detector.Detector:
     """Return the compiled detector with the matter that the fit assumes for tracks from the radius of the settings.
 
@@ -413,12 +413,12 @@ def compiled_for_fit(
     ----------
     detector : Detector
     settings : FitSettings
-    kept : Detector or None
+    full : Detector or None
         Of which this one is a variant with the same hits (`with_hits_of`).
     """
     core = compiled_matter(detector, settings)
-    if kept is not None and settings.matter:
-        core = with_hits_of(compiled_matter(kept, settings), core, detector.layers)
+    if full is not None and settings.matter:
+        core = with_hits_of(compiled_matter(full, settings), core, detector.layers)
     return core.beginning_at(settings.start_radius) if settings.start_radius else core
 
 
@@ -510,10 +510,10 @@ def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column, char
     columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
     columns["err_p"] = helix.momentum_error(fitted, cov, charge)
     limits = momentum_limits(np.asarray(columns["p"]), np.asarray(columns["err_p"]))
-    own = np.asarray(out["limits"], np.float64)
-    has_density = known & own.any(axis=1)
+    widths = np.asarray(out["limits"], np.float64)
+    has_density = known & widths.any(axis=1)
     for i, (name, normal) in enumerate(limits.items()):
-        limits[name] = np.where(has_density, columns["p"] * np.exp(own[:, i]), normal)
+        limits[name] = np.where(has_density, columns["p"] * np.exp(widths[:, i]), normal)
     return columns | limits | {name: out[name] for name in ("radiated", "radius_radiated")}
 
 
@@ -522,10 +522,10 @@ def _component_columns(out: Out, event: Column) -> Columns:
     if "density_weight" not in out:
         return {"event": event[:0], **dict.fromkeys(("track", "weight", "change", "spread"), np.empty(0))}
     weight = np.asarray(out["density_weight"], np.float64)
-    track, number = np.nonzero((weight > 0) & has_cov(out["status"])[:, None])
-    columns: Columns = {"event": event[track], "track": track, "weight": weight[track, number]}
+    track, component = np.nonzero((weight > 0) & has_cov(out["status"])[:, None])
+    columns: Columns = {"event": event[track], "track": track, "weight": weight[track, component]}
     return columns | {
-        "change": out["density_mean"][track, number], "spread": out["density_sigma"][track, number],
+        "change": out["density_mean"][track, component], "spread": out["density_sigma"][track, component],
     }  # fmt: skip
 
 

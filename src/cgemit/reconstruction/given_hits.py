@@ -189,20 +189,20 @@ def drift_problems(detector: Detector, wires: Columns) -> list[RowProblem]:
     """
     layers = detector.drift_chamber.layers if detector.drift_chamber else ()
     problems = []
-    for place, layer in enumerate(layers):
+    for i, layer in enumerate(layers):
         width = 2 * np.pi * layer.r_end / layer.cells
-        beside = [abs(other.r_end - layer.r_end) for other in layers[max(0, place - 1) : place + 2]]
+        beside = [abs(other.r_end - layer.r_end) for other in layers[max(0, i - 1) : i + 2]]
         most = 3 * float(np.hypot(width, max(width, *beside)))
         for row in np.flatnonzero((wires["layer"] == layer.number) & (np.abs(wires["drift"]) > most)):
-            given, expected = wires["drift"][row], f"at most three diagonals of a cell, {most:.4g} mm"
-            if np.isfinite(given):
-                problems.append(RowProblem("wire_hits", int(row), "drift", f"{given:g}", expected))
+            drift, expected = wires["drift"][row], f"at most three diagonals of a cell, {most:.4g} mm"
+            if np.isfinite(drift):
+                problems.append(RowProblem("wire_hits", int(row), "drift", f"{drift:g}", expected))
         errors = wires.get("sigma", np.full(len(wires["drift"]), np.nan))
         errors = np.where(errors > 0, errors, layer.sigma)
         for row in np.flatnonzero((wires["layer"] == layer.number) & (wires["drift"] < -_BELOW_0 * errors)):
-            given = f"{wires['drift'][row]:g}"
+            drift = f"{wires['drift'][row]:g}"
             expected = "a distance without sign, which is that of the column side"
-            problems.append(RowProblem("wire_hits", int(row), "drift", given, expected))
+            problems.append(RowProblem("wire_hits", int(row), "drift", drift, expected))
     return problems
 
 
@@ -214,10 +214,10 @@ def _strip_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     problems = []
     for is_view, name in ((HIT_X, "x"), (HIT_V, "v")):
         position = clusters.get(name, np.full(len(layer), np.nan))
-        for number, one in enumerate(detector.layers):
-            strips = (one.strips_x, one.strips_v)[is_view]
-            mine = (layer == number) & (view == is_view) & np.isnan(position)
-            for row in np.flatnonzero(mine & ((first < 0) | (last < first) | (last >= strips))):
+        for layer_number, of_strips in enumerate(detector.layers):
+            strips = (of_strips.strips_x, of_strips.strips_v)[is_view]
+            bare = (layer == layer_number) & (view == is_view) & np.isnan(position)
+            for row in np.flatnonzero(bare & ((first < 0) | (last < first) | (last >= strips))):
                 got, expected = (
                     f"{first[row]}, {last[row]}",
                     f"strips from 0 to {strips - 1}, the first not above the last",
@@ -332,11 +332,11 @@ def fit_hits(
         return tables
 
     finder = candidates if callable(candidates) else given
-    made = reconstruct(
+    out = reconstruct(
         detector, *hits, finder, fitted, refinements=refinements(how), find_again=how.find_again and tables is None,
         compete=how.points == "compete",
     )  # fmt: skip
-    return {"clusters": hits[0], "wire_hits": hits[1], **made}
+    return {"clusters": hits[0], "wire_hits": hits[1], **out}
 
 
 def hit_tables(
@@ -370,23 +370,23 @@ def hit_tables(
         Listing everything that is wrong.
     """
     reference = ClusterSettings.of(settings, "cluster")
-    given = {
+    inputs = {
         "clusters": read("clusters", clusters, ("layer",), problems),
         "wire_hits": read("wire_hits", wire_hits, ("layer", "wire", "drift"), problems),
     }
     sources = {"clusters": clusters, "wire_hits": wire_hits}
     for label in ("event", "candidate") if labelled else ("event",):
         named = [name for name, source in sources.items() if source is not None and label in (columns_of(source) or {})]
-        bare = [name for name, columns in given.items() if len(columns["layer"]) and name not in named]
+        bare = [name for name, columns in inputs.items() if len(columns["layer"]) and name not in named]
         if named and bare:
             problems.append(f"{bare[0]}: have no column '{label}', as the {named[0]} have; expected both or none")
     _raise(problems)
     with np.errstate(invalid="ignore"):  # infinite numbers are listed below
-        of_clusters = _cluster_columns(detector, given["clusters"], reference, problems)
-        columns = of_clusters, _wire_columns(detector, given["wire_hits"])
+        of_clusters = _cluster_columns(detector, inputs["clusters"], reference, problems)
+        columns = of_clusters, _wire_columns(detector, inputs["wire_hits"])
     _raise(problems)
-    wrong = value_problems(detector, given["clusters"] | {"view": columns[0]["view"]})
-    wrong += drift_problems(detector, given["wire_hits"])
+    wrong = value_problems(detector, inputs["clusters"] | {"view": columns[0]["view"]})
+    wrong += drift_problems(detector, inputs["wire_hits"])
     rows = {(one.table, one.row) for one in wrong}  # X, V and their errors follow from wrong numbers there
     measured = _measurements(*columns)
     listed, count = _core.reconstruction.hit_problems(compiled(detector), measured)
@@ -413,16 +413,16 @@ def _raise(problems: list[str], unlisted: int = 0) -> None:
     report("fit_hits", problems[:_MOST_LISTED] + ([f"and {more} more"] if more else []))
 
 
-def _cluster_columns(detector: Detector, given: Columns, settings: ClusterSettings, problems: list[str]) -> Columns:
+def _cluster_columns(detector: Detector, named: Columns, settings: ClusterSettings, problems: list[str]) -> Columns:
     """Return X, V and their errors of each row, whichever way they are given, and the other columns."""
-    n = len(given["layer"])
-    has = given.keys()
+    n = len(named["layer"])
+    has = named.keys()
     if n and "view" not in has and not {"phi", "z"} <= has:
         problems.append(
             "clusters: got neither view nor phi and z; expected points (phi, z) or views with x, v or strips"
         )
-    columns = dict(given)
-    view = columns["view"] = given.get("view", np.full(n, XV_CLUSTER))
+    columns = dict(named)
+    view = columns["view"] = named.get("view", np.full(n, XV_CLUSTER))
     if np.any(view == XV_CLUSTER) and not ({"err_phi", "err_z"} <= has or {"err_x", "err_v"} <= has or "cov" in has):
         problems.append("clusters: got points without errors; expected err_phi and err_z, cov, or err_x and err_v")
     if n and not detector.layers:
@@ -432,105 +432,107 @@ def _cluster_columns(detector: Detector, given: Columns, settings: ClusterSettin
     nan = np.full(n, np.nan)
     names = ("x", "v", "phi", "z", "err_x", "err_v", "err_phi", "err_z")
     for name in (*names, "r"):
-        columns[name] = np.asarray(given.get(name, nan), np.float64).copy()
-    columns["cov_xv"] = np.asarray(given.get("cov_xv", np.zeros(n)), np.float64).copy()
+        columns[name] = np.asarray(named.get(name, nan), np.float64).copy()
+    columns["cov_xv"] = np.asarray(named.get("cov_xv", np.zeros(n)), np.float64).copy()
     columns["sheet"] = _sheets(detector, columns, "sheet" in has, problems)
     for name, value in (("first", -1), ("last", -1), ("size", 0)):
-        columns[name] = given.get(name, np.full(n, value)).copy()
+        columns[name] = named.get(name, np.full(n, value)).copy()
     of_cgem: dict[int, tuple[Column, Column]] = {}
     if "first" in has:
         errors = cluster_errors(detector, settings)
         of_cgem = dict(zip(cgem_numbers(detector), zip(*errors, strict=True), strict=True))
-    for number, layer in enumerate(detector.layers):
-        rows = np.flatnonzero(given["layer"] == number)
-        mine = {name: columns[name][rows] for name in (*names, "view", "sheet", "first", "last", "size", "cov_xv")}
-        mine |= {name: given[name][rows] for name in ("err", "cov", "cov_phi_z") if name in has}
-        mine["r"] = np.full(len(rows), layer.r_mid)
-        _fill_layer(layer, mine, of_cgem.get(number), keep_size="size" in has)
+    for layer_number, layer in enumerate(detector.layers):
+        rows = np.flatnonzero(named["layer"] == layer_number)
+        of_layer = {name: columns[name][rows] for name in (*names, "view", "sheet", "first", "last", "size", "cov_xv")}
+        of_layer |= {name: named[name][rows] for name in ("err", "cov", "cov_phi_z") if name in has}
+        of_layer["r"] = np.full(len(rows), layer.r_mid)
+        _fill_layer(layer, of_layer, of_cgem.get(layer_number), keep_size="size" in has)
         for name in (*names, "size", "cov_xv", "r"):
-            columns[name][rows] = mine[name]
+            columns[name][rows] = of_layer[name]
     return columns
 
 
-def _sheets(detector: Detector, columns: Columns, given: bool, problems: list[str]) -> Column:
+def _sheets(detector: Detector, columns: Columns, has_sheet: bool, problems: list[str]) -> Column:
     """Return the sheet of each cluster: as given, the only one of its layer, or that below its azimuth."""
-    if given:
+    if has_sheet:
         return columns["sheet"]
     sheet = np.zeros(len(columns["layer"]), np.int64)
-    for number, layer in enumerate(detector.layers):
-        rows = np.flatnonzero(columns["layer"] == number)
+    for layer_number, layer in enumerate(detector.layers):
+        rows = np.flatnonzero(columns["layer"] == layer_number)
         around = np.remainder(columns["phi"][rows] - layer.sheet_phi[0], 2 * np.pi)
         if layer.sheets == 1 or not len(rows):
             continue
         if np.any(columns["view"][rows] != XV_CLUSTER):
             problems.append(
-                f"clusters: sheet: missing; expected it where a layer has {layer.sheets}, as layer {number}"
+                f"clusters: sheet: missing; expected it where a layer has {layer.sheets}, as layer {layer_number}"
             )
         edge = np.remainder(layer.sheet_phi[1] - layer.sheet_phi[0], 2 * np.pi)
         sheet[rows] = around >= edge
     return sheet
 
 
-def _fill_layer(layer: Any, mine: Columns, of_strips: tuple[Column, Column] | None, *, keep_size: bool) -> None:
+def _fill_layer(layer: Any, columns: Columns, of_strips: tuple[Column, Column] | None, *, keep_size: bool) -> None:
     """Fill in positions and errors of the clusters of one layer."""
-    view, start = mine["view"], np.array(layer.sheet_phi)[np.clip(mine["sheet"], 0, layer.sheets - 1)]
+    view, start = columns["view"], np.array(layer.sheet_phi)[np.clip(columns["sheet"], 0, layer.sheets - 1)]
     point = view == XV_CLUSTER
-    given_errors = np.isfinite(np.where(view == HIT_V, mine["err_v"], mine["err_x"])) | ("err" in mine)
-    strips = (mine["first"] >= 0) & (mine["last"] >= mine["first"]) & ~point
-    size = np.where(strips, mine["last"] - mine["first"] + 1, 0)
+    given_errors = np.isfinite(np.where(view == HIT_V, columns["err_v"], columns["err_x"])) | ("err" in columns)
+    strips = (columns["first"] >= 0) & (columns["last"] >= columns["first"]) & ~point
+    size = np.where(strips, columns["last"] - columns["first"] + 1, 0)
     pitch_x, pitch_v = layer.pitches
     of_views = (HIT_X, "x", pitch_x, 0.0, 0), (HIT_V, "v", pitch_v, layer.offset_v, 1)
     for is_view, name, pitch, offset, which in of_views:
-        rows, error = view == is_view, mine[f"err_{name}"]
-        centre = (0.5 * (mine["first"] + mine["last"] + 1) + offset) * pitch
-        mine[name] = np.where(rows & strips & np.isnan(mine[name]), centre, mine[name])
-        if "err" in mine:
-            error = np.where(rows & np.isnan(error), mine["err"], error)
+        rows, error = view == is_view, columns[f"err_{name}"]
+        centre = (0.5 * (columns["first"] + columns["last"] + 1) + offset) * pitch
+        columns[name] = np.where(rows & strips & np.isnan(columns[name]), centre, columns[name])
+        if "err" in columns:
+            error = np.where(rows & np.isnan(error), columns["err"], error)
         if of_strips is not None:
             by_size = of_strips[which][np.clip(size - 1, 0, len(of_strips[which]) - 1)]
             error = np.where(rows & strips & np.isnan(error), by_size, error)
-        mine[f"err_{name}"] = error
+        columns[f"err_{name}"] = error
     if not keep_size:  # the fit takes errors as they are where a cluster has no strips
-        mine["size"] = np.where(given_errors, 0, size)
-    _fill_points(layer, mine, start, point)
-    on_x = (view == HIT_X) & np.isnan(mine["phi"])
-    mine["phi"] = np.where(on_x, helix.wrap_angle(start + mine["x"] / layer.r_readout), mine["phi"])
-    mine["err_phi"] = np.where(on_x, mine["err_x"] / layer.r_readout, mine["err_phi"])
+        columns["size"] = np.where(given_errors, 0, size)
+    _fill_points(layer, columns, start, point)
+    on_x = (view == HIT_X) & np.isnan(columns["phi"])
+    columns["phi"] = np.where(on_x, helix.wrap_angle(start + columns["x"] / layer.r_readout), columns["phi"])
+    columns["err_phi"] = np.where(on_x, columns["err_x"] / layer.r_readout, columns["err_phi"])
 
 
-def _fill_points(layer: Any, mine: Columns, start: Column, point: Column) -> None:
+def _fill_points(layer: Any, columns: Columns, start: Column, point: Column) -> None:
     """Fill in X and V of points from phi and z with their covariance, or phi and z from X and V."""
     r, cosine, sine = layer.r_readout, np.cos(layer.stereo), np.sin(layer.stereo)
-    by_phi = point & np.isnan(mine["x"])
-    x = r * np.remainder(mine["phi"] - start, 2 * np.pi)
-    mine["x"] = np.where(by_phi, x, mine["x"])
-    by_z = point & np.isnan(mine["v"])
-    mine["v"] = np.where(by_z, local_v(layer, mine["x"], mine["z"]), mine["v"])
-    mine["phi"] = np.where(point & np.isnan(mine["phi"]), helix.wrap_angle(start + mine["x"] / r), mine["phi"])
-    mine["z"] = np.where(point & np.isnan(mine["z"]), crossing_z(layer, mine["x"], mine["v"]), mine["z"])
-    phi2, z2, both = mine["err_phi"] ** 2, mine["err_z"] ** 2, mine.get("cov_phi_z", np.zeros(len(x)))
-    if "cov" in mine:
-        phi2, z2, both = (mine["cov"][:, i, j] for i, j in ((0, 0), (1, 1), (0, 1)))
+    by_phi = point & np.isnan(columns["x"])
+    x = r * np.remainder(columns["phi"] - start, 2 * np.pi)
+    columns["x"] = np.where(by_phi, x, columns["x"])
+    by_z = point & np.isnan(columns["v"])
+    columns["v"] = np.where(by_z, local_v(layer, columns["x"], columns["z"]), columns["v"])
+    columns["phi"] = np.where(
+        point & np.isnan(columns["phi"]), helix.wrap_angle(start + columns["x"] / r), columns["phi"]
+    )
+    columns["z"] = np.where(point & np.isnan(columns["z"]), crossing_z(layer, columns["x"], columns["v"]), columns["z"])
+    phi2, z2, both = columns["err_phi"] ** 2, columns["err_z"] ** 2, columns.get("cov_phi_z", np.zeros(len(x)))
+    if "cov" in columns:
+        phi2, z2, both = (columns["cov"][:, i, j] for i, j in ((0, 0), (1, 1), (0, 1)))
     # X = r (phi - start), V = X cos + (z_ref - z) sin.
-    from_phi = point & np.isnan(mine["err_x"]) & np.isnan(mine["err_v"])
+    from_phi = point & np.isnan(columns["err_x"]) & np.isnan(columns["err_v"])
     with np.errstate(invalid="ignore"):
         err_v = np.sqrt(cosine**2 * r**2 * phi2 + sine**2 * z2 - 2 * cosine * sine * r * both)
-        mine["err_x"] = np.where(from_phi, r * np.sqrt(phi2), mine["err_x"])
-    mine["err_v"] = np.where(from_phi, err_v, mine["err_v"])
-    mine["cov_xv"] = np.where(from_phi, cosine * r**2 * phi2 - sine * r * both, mine["cov_xv"])
+        columns["err_x"] = np.where(from_phi, r * np.sqrt(phi2), columns["err_x"])
+    columns["err_v"] = np.where(from_phi, err_v, columns["err_v"])
+    columns["cov_xv"] = np.where(from_phi, cosine * r**2 * phi2 - sine * r * both, columns["cov_xv"])
 
 
-def _wire_columns(detector: Detector, given: Columns) -> Columns:
+def _wire_columns(detector: Detector, named: Columns) -> Columns:
     """Return the columns of wire hits with those that were left out."""
-    n, columns = len(given["layer"]), dict(given)
-    columns["drift"] = np.asarray(given["drift"], np.float64)
+    n, columns = len(named["layer"]), dict(named)
+    columns["drift"] = np.asarray(named["drift"], np.float64)
     distance = np.where(np.isfinite(columns["drift"]), np.maximum(columns["drift"], 0), 0)
     sigma, gid = np.ones(n), np.full(n, -1)  # layers that are not there are refused
     if detector.drift_chamber:
         for layer, first in zip(detector.drift_chamber.layers, detector.drift_chamber.gid_first, strict=True):
-            mine = given["layer"] == layer.number
-            sigma[mine] = layer.error_at(distance[mine])
-            gid[mine] = first + given["wire"][mine]
+            in_layer = named["layer"] == layer.number
+            sigma[in_layer] = layer.error_at(distance[in_layer])
+            gid[in_layer] = first + named["wire"][in_layer]
     defaults = {"sigma": sigma, "gid": gid, "side": np.zeros(n, np.int64), "drift_time": np.full(n, np.nan)}
     return {**defaults, **columns}
 
@@ -568,9 +570,11 @@ def _table(kind: str, columns: Columns, events: Column) -> Table:
         if name not in picked:
             continue
         # Of some rows of another table, links count the rows of that one.
-        part = position[np.clip(picked[name], -1, len(order))]
-        is_part = (part >= 0) & (picked["view"][part] == view) & (picked["event"][part] == picked["event"])
-        picked[name] = np.where(is_part, part, -1)
+        strip_row = position[np.clip(picked[name], -1, len(order))]
+        is_part = (
+            (strip_row >= 0) & (picked["view"][strip_row] == view) & (picked["event"][strip_row] == picked["event"])
+        )
+        picked[name] = np.where(is_part, strip_row, -1)
     integers = {c.name: c.dtype for c in schema if c.dtype.kind in "iu"}
     picked = {name: column.astype(integers[name]) if name in integers else column for name, column in picked.items()}
     return Table(kind, picked, len(events), events=events)

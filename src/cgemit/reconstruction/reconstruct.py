@@ -113,29 +113,29 @@ def turns(
     states = _STATES if any(one.needs_states for one in refinements) else ()
     early = replace(settings, residuals=True, states=states, hypothesis=single, components=False, beam=None)
     hits = measured
-    for one in refinements:
-        hits = one.guess(detector, hits)
-    found = by_finder(finder, detector, hits.clusters, hits.wire_hits)
-    yield "find", found
-    for number in range(last):
-        if number == 1 and find_again:
-            found = by_finder(finder, detector, hits.clusters, hits.wire_hits)
-            yield "find", found
-        fitted = _fitted(detector, hits, found, early)
-        turn = Turn(number, last + 1, hits, found["candidates"], found["candidate_hits"], **fitted)
+    for refinement in refinements:
+        hits = refinement.guess(detector, hits)
+    candidates = by_finder(finder, detector, hits.clusters, hits.wire_hits)
+    yield "find", candidates
+    for turn_number in range(last):
+        if turn_number == 1 and find_again:
+            candidates = by_finder(finder, detector, hits.clusters, hits.wire_hits)
+            yield "find", candidates
+        fitted = _fitted(detector, hits, candidates, early)
+        turn = Turn(turn_number, last + 1, hits, candidates["candidates"], candidates["candidate_hits"], **fitted)
         hits = measured
-        for one in refinements:
-            hits = one.refine(detector, hits, turn)
+        for refinement in refinements:
+            hits = refinement.refine(detector, hits, turn)
         yield "fit", {}
     if compete:
-        found = settle_points(detector, hits.clusters, hits.wire_hits, found, settings)
-    tables = {**found, **_fitted(detector, hits, found, settings), **hits.refined(measured)}
-    for one in refinements:
-        tables |= one.finish(detector, tables)
+        candidates = settle_points(detector, hits.clusters, hits.wire_hits, candidates, settings)
+    tables = {**candidates, **_fitted(detector, hits, candidates, settings), **hits.refined(measured)}
+    for refinement in refinements:
+        tables |= refinement.finish(detector, tables)
     yield "fit", tables
 
 
-def _fitted(detector: Detector, hits: Hits, found: Mapping[str, Table], settings: FitSettings) -> dict[str, Table]:
+def _fitted(detector: Detector, hits: Hits, candidates: Mapping[str, Table], settings: FitSettings) -> dict[str, Table]:
     """Fit the candidates that were found."""
-    tables = (hits.clusters, hits.wire_hits, found["candidates"], found["candidate_hits"])
+    tables = (hits.clusters, hits.wire_hits, candidates["candidates"], candidates["candidate_hits"])
     return fit.unchecked(detector, *tables, settings)

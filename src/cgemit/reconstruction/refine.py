@@ -112,9 +112,9 @@ class Hits:
         """
         pairs = {name: (getattr(self, name), getattr(measured, name)) for name in ("clusters", "wire_hits")}
         return {
-            f"refined_{name}": Table(f"refined_{name}", mine.columns, meta=mine.meta, **mine.cover)
-            for name, (mine, theirs) in pairs.items()
-            if mine is not theirs
+            f"refined_{name}": Table(f"refined_{name}", refined.columns, meta=refined.meta, **refined.cover)
+            for name, (refined, unrefined) in pairs.items()
+            if refined is not unrefined
         }
 
 
@@ -200,7 +200,7 @@ class DriftTimes(Refinement):
 
     def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
         """Subtract the delay on the track; hits on no good track keep the guess."""
-        found, measured = expected(detector, hits.wire_hits, cosmic=self._cosmic), hits.wire_hits
+        corrected, measured = expected(detector, hits.wire_hits, cosmic=self._cosmic), hits.wire_hits
         states = _known(turn.states)
         time = flight(states, turn.candidates, turn.tracks)
         if self._cosmic:
@@ -211,10 +211,10 @@ class DriftTimes(Refinement):
         row, first = np.unique(row, return_index=True)  # of several tracks the first one counts
         delay = time[first] + propagation_time(detector, measured["layer"][row], z[first])
         exact = _earlier(relations_of(detector), measured[row], delay)
-        columns = {name: found[name].copy() for name in ("drift", "drift_time", "sigma")}
+        columns = {name: corrected[name].copy() for name in ("drift", "drift_time", "sigma")}
         for name, column in columns.items():
             column[row] = exact[name]
-        return replace(hits, wire_hits=found.with_columns(**columns))
+        return replace(hits, wire_hits=corrected.with_columns(**columns))
 
 
 def expected(detector: Detector, wire_hits: Table, *, cosmic: bool = False) -> Table:
@@ -245,9 +245,9 @@ def expected(detector: Detector, wire_hits: Table, *, cosmic: bool = False) -> T
         first, twist, cells = _of_layers(detector, layer, "phi_east", "twist", "cells")
         above = np.sin(first - 0.5 * twist + 2 * np.pi * wire_hits["wire"] / cells) > 0
         time = np.where(above, -time, time)
-    found = _earlier(relations, wire_hits, time + propagation_time(detector, layer, z))
-    spread = 2 * half_length / (speed * np.sqrt(12)) * relations.velocity_at(layer, found["drift"])
-    return found.with_columns(sigma=np.hypot(found["sigma"], spread))
+    corrected = _earlier(relations, wire_hits, time + propagation_time(detector, layer, z))
+    spread = 2 * half_length / (speed * np.sqrt(12)) * relations.velocity_at(layer, corrected["drift"])
+    return corrected.with_columns(sigma=np.hypot(corrected["sigma"], spread))
 
 
 def _known(states: Table | None) -> Table:
@@ -277,11 +277,11 @@ def flight(states: Table, candidates: Table, tracks: Table) -> Floats:
     arc = np.hypot(dx, dy) / np.sinc(half / np.pi) * np.sign(dx * px + dy * py)
     begins = np.flatnonzero(np.diff(track, prepend=-1))
     row = np.repeat(np.arange(len(begins)), np.diff(begins, append=len(track)))
-    place = np.arange(len(track)) - begins[row] if len(track) else row
+    rank = np.arange(len(track)) - begins[row] if len(track) else row
     # A row for each track: sums of one do not depend on the tracks before it.
-    length = np.zeros((len(begins), int(place.max(initial=0)) + 1))
-    length[row, place] = np.where(place > 0, arc * np.hypot(1.0, states["tanl"]), 0.0)
-    along = np.cumsum(length, axis=1)[row, place]
+    length = np.zeros((len(begins), int(rank.max(initial=0)) + 1))
+    length[row, rank] = np.where(rank > 0, arc * np.hypot(1.0, states["tanl"]), 0.0)
+    along = np.cumsum(length, axis=1)[row, rank]
     parameters = np.stack([tracks[name] for name in helix.PARAMETERS], axis=1)
     # Tracks may be unconstrained along z alone.
     known = ~(
@@ -350,10 +350,10 @@ def track_directions(detector: Detector, n_clusters: int, states: Table | None) 
     r = np.hypot(states["x"], states["y"])
     outward = (states["x"] * states["px"] + states["y"] * states["py"]) / r
     around = (states["x"] * states["py"] - states["y"] * states["px"]) / r
-    for number, layer in enumerate(detector.layers):
+    for layer_number, layer in enumerate(detector.layers):
         gap = layer.r_gap_out - layer.r_gap_in
         crosses = (outward > 0) & (outward**2 * r > gap * (outward**2 + around**2))
-        here = np.flatnonzero((states["layer"] == number) & crosses)
+        here = np.flatnonzero((states["layer"] == layer_number) & crosses)
         tangent = around[here] / outward[here]
         dx = layer.r_readout * tangent / layer.r_mid
         path = np.hypot(1.0, tangent)
@@ -472,12 +472,12 @@ class StartTime(Refinement):
             "event": candidates.events, "start_time": self._times.time, "err_start_time": self._times.error,
             "n_tracks": self._times.counted, "status": self._times.status,
         }  # fmt: skip
-        made = {"tracks": tracks, "start_times": Table("start_times", columns, **candidates.cover)}
+        changed = {"tracks": tracks, "start_times": Table("start_times", columns, **candidates.cover)}
         if "components" in tables:
             parts = tables["components"]
             wider = np.hypot(parts["spread"], added_error(tracks, before)[parts["track"]])
-            made["components"] = parts.with_columns(spread=wider)
-        return made
+            changed["components"] = parts.with_columns(spread=wider)
+        return changed
 
     def _shifted(self, hits: Hits, error: float = 0.0, shift: float = 0.0) -> Hits:
         """Return hits with drift times counted from the present start times; `error`: of these times, ns."""
@@ -488,30 +488,30 @@ class StartTime(Refinement):
             wires = wires.with_columns(sigma=np.hypot(wires["sigma"], error * velocity))
         return replace(hits, wire_hits=wires)
 
-    def _step(self, now: _Fits, event: Rows, number: int) -> None:
+    def _step(self, now: _Fits, event: Rows, step: int) -> None:
         """Move the start times by a step of Newton's method."""
-        time, total, self._times.counted = self._combined(now, event, early=number < len(FIRST_ERRORS))
-        found = (self._times.counted > 0) & (np.abs(time) <= 5 * MOST_STEP)
-        moved = np.where(found & self._times.moving, time - self._times.time, 0.0).clip(-MOST_STEP, MOST_STEP)
-        self._times.time = self._times.time + moved * (1.0 if number < WHOLE_STEPS else 0.5)
-        self._times.moving = ~found | (np.abs(moved) * np.sqrt(total) > TOLERANCE) | (number < len(FIRST_ERRORS))
+        time, total, self._times.counted = self._combined(now, event, early=step < len(FIRST_ERRORS))
+        has_time = (self._times.counted > 0) & (np.abs(time) <= 5 * MOST_STEP)
+        moved = np.where(has_time & self._times.moving, time - self._times.time, 0.0).clip(-MOST_STEP, MOST_STEP)
+        self._times.time = self._times.time + moved * (1.0 if step < WHOLE_STEPS else 0.5)
+        self._times.moving = ~has_time | (np.abs(moved) * np.sqrt(total) > TOLERANCE) | (step < len(FIRST_ERRORS))
         status = np.where(self._times.moving, StartTimeStatus.not_converged, StartTimeStatus.ok)
-        self._times.status = np.where(found, status, StartTimeStatus.no_track).astype(np.int8)
+        self._times.status = np.where(has_time, status, StartTimeStatus.no_track).astype(np.int8)
 
     def _set_errors(self, probed: _Fits, event: Rows) -> None:
         """Set errors and slopes from the change of the gradients, and of the helices, with the start time."""
         now = self._times.fits
         assert now is not None
-        found = self._times.status != StartTimeStatus.no_track
-        self._times.counted = np.where(found, self._times.counted, 0)
-        self._times.time = np.where(found, self._times.time, 0.0)
-        both = (now.info > 0) & (probed.info > 0) & found[event]
+        has_time = self._times.status != StartTimeStatus.no_track
+        self._times.counted = np.where(has_time, self._times.counted, 0)
+        self._times.time = np.where(has_time, self._times.time, 0.0)
+        both = (now.info > 0) & (probed.info > 0) & has_time[event]
         lever = np.where(both, probed.at - now.at, 1.0)
         info = np.where(both, (now.gradient - probed.gradient) / lever, now.info)
         info = np.where((info > 0.5 * now.info) & (info < 2 * now.info), info, now.info)
         self._times.slope = np.where(both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
         _, total, _ = self._combined(now._replace(info=np.where(now.info > 0, info, 0.0)), event, early=False)
-        self._times.error[found] = total[found] ** -0.5
+        self._times.error[has_time] = total[has_time] ** -0.5
 
     def _combined(self, now: _Fits, event: Rows, *, early: bool) -> tuple[Floats, Floats, Rows]:
         """Return the mean start time of the tracks of each event, its 1/variance, and how many tracks count.
@@ -645,7 +645,7 @@ def refinements(settings: RefineSettings) -> list[Refinement]:
     >>> [type(one).__name__ for one in cg.refinements(cg.RefineSettings(drift_times="raw", start_time="fitted"))]
     ['DriftTimes', 'StartTime']
     """
-    found: list[Refinement] = []
+    chosen: list[Refinement] = []
     if settings.drift_times == "raw":
-        found = [DriftTimes(cosmic=settings.flight == "cosmic")]
-    return [*found, StartTime(settings.start_time_error)] if settings.start_time == "fitted" else found
+        chosen = [DriftTimes(cosmic=settings.flight == "cosmic")]
+    return [*chosen, StartTime(settings.start_time_error)] if settings.start_time == "fitted" else chosen

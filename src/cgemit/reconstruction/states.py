@@ -92,17 +92,19 @@ def state_columns(
     )
     track, target = out["track"], out["target"]
     surface = targets["surface"][target]
-    found: Columns = {
+    columns: Columns = {
         "event": tracks["event"][track],
         "track": track,
         "hypothesis": tracks["hypothesis"][track],
         "charge": tracks["charge"][track],
         "surface": surface,
     }
-    found |= _hit_columns(hits, out["hit"]) | _at(out, tracks["charge"][track])
-    found["r"] = np.where(surface == Surface.cylinder, targets["radius"][target], np.hypot(found["x"], found["y"]))
+    columns |= _hit_columns(hits, out["hit"]) | _at(out, tracks["charge"][track])
+    columns["r"] = np.where(
+        surface == Surface.cylinder, targets["radius"][target], np.hypot(columns["x"], columns["y"])
+    )
     residual, err = out["residual"], out["err"]
-    return found | {"residual": residual, "err": err, "pull": residual / err, "status": out["status"]}
+    return columns | {"residual": residual, "err": err, "pull": residual / err, "status": out["status"]}
 
 
 def extrapolate(
@@ -296,12 +298,12 @@ def _at(out: dict[str, npt.NDArray[Any]], charge: npt.NDArray[Any]) -> dict[str,
 def _hit_columns(hits: FitHits, hit: npt.NDArray[Any]) -> Columns:
     """Columns view, layer and hit of states at hits, by their row in `hits`; -1 for those that are at none."""
     at_hit = hit >= 0
-    found: Columns = {}
+    columns: Columns = {}
     for name, kind, values in (("view", "i1", hits.kind), ("layer", "i4", hits.layer), ("hit", "i8", hits.hit)):
         column = np.full(len(hit), -1, kind)
         column[at_hit] = values[hit[at_hit]]
-        found[name] = column
-    return found
+        columns[name] = column
+    return columns
 
 
 def _targets(detector: Detector, surfaces: tuple[float | str, ...]) -> dict[str, npt.NDArray[Any]]:
@@ -309,9 +311,9 @@ def _targets(detector: Detector, surfaces: tuple[float | str, ...]) -> dict[str,
     kinds = {"origin": Surface.origin, "beam_line": Surface.beam_line, "hits": Surface.hit}
     if "beam_pipe" in surfaces and not detector.beam_pipe:
         raise ValueError("states: 'beam_pipe', but the detector has none")
-    given = [detector.beam_pipe[0].r_in if surface == "beam_pipe" else surface for surface in surfaces]
-    kind = [kinds.get(surface, Surface.cylinder) if isinstance(surface, str) else Surface.cylinder for surface in given]
-    radius = np.array([0.0 if isinstance(surface, str) else float(surface) for surface in given])
+    radii = [detector.beam_pipe[0].r_in if surface == "beam_pipe" else surface for surface in surfaces]
+    kind = [kinds.get(surface, Surface.cylinder) if isinstance(surface, str) else Surface.cylinder for surface in radii]
+    radius = np.array([0.0 if isinstance(surface, str) else float(surface) for surface in radii])
     return {"surface": np.array(kind, np.int8), "radius": radius, "share": shares_inside(detector, radius)}
 
 

@@ -123,7 +123,7 @@ def strip_times(detector: Detector, digis: Table, start: npt.ArrayLike | None = 
     event = np.searchsorted(events, digis["event"])
     count = np.isfinite(arrivals.time) & arrivals.paired
     used = np.bincount(event[count], minlength=n)
-    found, err = np.full(n, np.nan), np.full(n, np.nan)
+    time, err = np.full(n, np.nan), np.full(n, np.nan)
     status = np.full(n, StripTimeStatus.no_strips, np.int8)
     offset = err_offset = np.nan
     enough = used >= LEAST_STRIPS
@@ -133,15 +133,15 @@ def strip_times(detector: Detector, digis: Table, start: npt.ArrayLike | None = 
         rows = count & known[event]
         offset, err_offset, _ = _most_likely(arrivals, rows, start[event])
         known = np.isfinite(start)
-        found[known], err[known], status[known] = start[known] + offset, err_offset, StripTimeStatus.ok
+        time[known], err[known], status[known] = start[known] + offset, err_offset, StripTimeStatus.ok
     for i in np.flatnonzero(enough & ~known).tolist():
-        found[i], err[i], alone = _most_likely(arrivals, count & (event == i), np.zeros(len(digis)))
+        time[i], err[i], alone = _most_likely(arrivals, count & (event == i), np.zeros(len(digis)))
         status[i] = StripTimeStatus.ok if alone else StripTimeStatus.ambiguous
-    after = arrivals.time - found[event]
+    after = arrivals.time - time[event]
     inside = (after >= -arrivals.margin) & (after <= arrivals.longest + arrivals.margin)
     outside = np.isfinite(arrivals.time) & ~inside
     columns = {
-        "event": events, "strip_time": found, "err_strip_time": err, "n_strips": used,
+        "event": events, "strip_time": time, "err_strip_time": err, "n_strips": used,
         "n_outside": np.bincount(event[outside], minlength=n), "status": status,
     }  # fmt: skip
     meta = {"offset": float(offset), "err_offset": float(err_offset)}
@@ -211,13 +211,13 @@ def _fill(group: ReadoutGroup, digis: Table, time: Floats, longest: Floats, marg
     n = len(group.layers)
     charges, late = delays["charges"].reshape(2 * n, -1), delays["delays"].reshape(2 * n, len(delays["spreads"]), -1)
     near = int(np.argmin(np.abs(delays["spreads"] - SEEN)))
-    for place, (number, layer) in enumerate(zip(group.numbers, group.layers, strict=True)):
-        whole = (layer.r_gap_out - layer.r_gap_in) / timing["velocity"][place]
+    for i, (layer_number, layer) in enumerate(zip(group.numbers, group.layers, strict=True)):
+        whole = (layer.r_gap_out - layer.r_gap_in) / timing["velocity"][i]
         for view in (0, 1):
-            rows = np.flatnonzero((digis["layer"] == number) & (digis["view"] == view))
-            plane = view * n + place
+            rows = np.flatnonzero((digis["layer"] == layer_number) & (digis["view"] == view))
+            plane = view * n + i
             delay = np.interp(digis["charge"][rows], charges[plane], late[plane, near])
-            time[rows] = digis["time"][rows] - timing["delay"][place] - delay
+            time[rows] = digis["time"][rows] - timing["delay"][i] - delay
             longest[rows], margin[rows] = whole, readout.time_margin
 
 
@@ -230,10 +230,10 @@ def _paired(digis: Table) -> Flags:
     for key in keys[1:]:
         same &= np.diff(key[order]) == 0
     beside = same & (np.diff(strip) == 1)
-    found = np.zeros(len(order), np.bool_)
-    found[order[1:][beside]] = True
-    found[order[:-1][beside]] = True
-    return found
+    is_paired = np.zeros(len(order), np.bool_)
+    is_paired[order[1:][beside]] = True
+    is_paired[order[:-1][beside]] = True
+    return is_paired
 
 
 def _most_likely(arrivals: Arrivals, rows: Flags, start: Floats) -> tuple[float, float, bool]:
@@ -242,10 +242,10 @@ def _most_likely(arrivals: Arrivals, rows: Flags, start: Floats) -> tuple[float,
     grid = np.arange(time.min() - longest.max(), time.max() + STEP, STEP)
     likelihood = np.zeros(len(grid))
     for first in range(0, len(time), 1000):  # strips at a time, for memory
-        part = slice(first, first + 1000)
-        after = time[part, None] - grid
-        inside = ndtr(after / STRIP_ERROR) - ndtr((after - longest[part, None]) / STRIP_ERROR)
-        likelihood += np.log((1 - OTHERS) * inside / longest[part, None] + OTHERS / SPREAD).sum(axis=0)
+        block = slice(first, first + 1000)
+        after = time[block, None] - grid
+        inside = ndtr(after / STRIP_ERROR) - ndtr((after - longest[block, None]) / STRIP_ERROR)
+        likelihood += np.log((1 - OTHERS) * inside / longest[block, None] + OTHERS / SPREAD).sum(axis=0)
     best = int(likelihood.argmax())
     near = np.abs(grid - grid[best]) < APART
     weight = np.where(near, np.exp(likelihood - likelihood[best]), 0.0)

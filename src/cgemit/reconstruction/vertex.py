@@ -166,26 +166,26 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
                 f"pairs: none given, and the curvature of no track measures its charge ({unknown} tracks of status "
                 "unconstrained); expected the rows of pairs"
             )
-    given = np.asarray(pairs)
-    given = given.reshape(0, 2) if given.size == 0 else given
+    rows = np.asarray(pairs)
+    rows = rows.reshape(0, 2) if rows.size == 0 else rows
     if not known:
         problems.append(f"particles: got {particles!r}, expected two of {', '.join(map(repr, HYPOTHESES))}")
     if not isinstance(beam_spot, BeamSpot | None):
         problems.append(f"beam_spot: got {type(beam_spot).__name__}, expected BeamSpot or None")
-    if given.ndim != 2 or given.shape[1] != 2 or (given.size and given.dtype.kind not in "iu"):
-        problems.append(f"pairs: got shape {given.shape} of {given.dtype}, expected (n, 2) whole numbers")
-    elif given.size and (given.min() < 0 or given.max() >= len(tracks)):
-        problems.append(f"pairs: got rows {given.min()} to {given.max()}, expected 0 to {len(tracks)} (excluded)")
-    elif given.size:
-        event = tracks["event"][given]
+    if rows.ndim != 2 or rows.shape[1] != 2 or (rows.size and rows.dtype.kind not in "iu"):
+        problems.append(f"pairs: got shape {rows.shape} of {rows.dtype}, expected (n, 2) whole numbers")
+    elif rows.size and (rows.min() < 0 or rows.max() >= len(tracks)):
+        problems.append(f"pairs: got rows {rows.min()} to {rows.max()}, expected 0 to {len(tracks)} (excluded)")
+    elif rows.size:
+        event = tracks["event"][rows]
         for text, wrong in (
             ("two events", event[:, 0] != event[:, 1]),
-            ("one track twice", given[:, 0] == given[:, 1]),
+            ("one track twice", rows[:, 0] == rows[:, 1]),
         ):
             if wrong.any():
                 problems.append(f"pairs: row {np.argmax(wrong)}: got {text}, expected two tracks of one event")
     report("fit_vertices", problems)
-    return given.astype(np.intp)
+    return rows.astype(np.intp)
 
 
 def _are_hypotheses(given: object) -> bool:
@@ -383,9 +383,9 @@ def fit_vertices(
     masses = np.array([kind.mass for kind in kinds])
     charges = np.asarray(tracks["charge"], np.float64)[rows[good]]
     some = _Pairs(parameters[good], tracks["cov"][rows[good]], charges, masses, bz, extent(chamber))
-    found, status, iterations = _solved(some, beam_spot)
-    columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in found.items()}
-    for name, value in found.items():
+    solution, status, iterations = _solved(some, beam_spot)
+    columns = {name: np.full((len(rows), *value.shape[1:]), np.nan) for name, value in solution.items()}
+    for name, value in solution.items():
         columns[name][good] = np.where((status == 0).reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
     unknown = np.any((tracks["status"] == FitStatus.unconstrained)[rows], axis=1)
     for name in _OF_MOMENTA:
@@ -414,24 +414,24 @@ def _solved(
     n = len(pairs.parameters)
     starts = starting_points(pairs.parameters, pairs.bz)
     inside = pairs.inside(starts)
-    given = np.isfinite(starts).all(axis=2) & (inside | ~inside.any(axis=1, keepdims=True))
-    first = np.where(given[:, 0], 0, 1)
+    is_start = np.isfinite(starts).all(axis=2) & (inside | ~inside.any(axis=1, keepdims=True))
+    first = np.where(is_start[:, 0], 0, 1)
     vertex, chi2, cov, status, iterations = _minimised(pairs, starts[np.arange(n), first], beam_spot)
     # The other crossing, which wins with a smaller chi-square.
-    rows = np.flatnonzero(given.all(axis=1))
+    rows = np.flatnonzero(is_start.all(axis=1))
     best = np.where((status[rows] == VertexStatus.ok) & pairs.inside(vertex[rows]), chi2[rows], np.inf)
-    found = _minimised(_some(pairs, rows), starts[rows, 1], beam_spot, worst=best + _COMPETING)
-    good = (found[3] == VertexStatus.ok) & pairs.inside(found[0])
-    better = good & (found[1] < best)
-    iterations[rows] += found[4]
-    apart = found[0] - vertex[rows]
+    second = _minimised(_some(pairs, rows), starts[rows, 1], beam_spot, worst=best + _COMPETING)
+    good = (second[3] == VertexStatus.ok) & pairs.inside(second[0])
+    better = good & (second[1] < best)
+    iterations[rows] += second[4]
+    apart = second[0] - vertex[rows]
     square = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(cov[rows]), apart)
-    competing = good & np.isfinite(best) & (square > _ONE_VERTEX) & (np.abs(found[1] - best) < _COMPETING)
+    competing = good & np.isfinite(best) & (square > _ONE_VERTEX) & (np.abs(second[1] - best) < _COMPETING)
     other = {"other_chi2": np.full(n, np.nan), "other_distance": np.full(n, np.nan)}
-    other["other_chi2"][rows[competing]] = np.maximum(found[1], best)[competing]
+    other["other_chi2"][rows[competing]] = np.maximum(second[1], best)[competing]
     other["other_distance"][rows[competing]] = np.linalg.norm(apart[competing], axis=1)
     wins = rows[better]
-    vertex[wins], chi2[wins], cov[wins], status[wins] = (part[better] for part in found[:4])
+    vertex[wins], chi2[wins], cov[wins], status[wins] = (part[better] for part in second[:4])
     ok = (status == VertexStatus.ok)[:, None]
     return _results(pairs, np.where(ok, vertex, 0.0), cov, beam_spot) | other, status, iterations
 
@@ -502,10 +502,10 @@ def _linear(pairs: _Pairs, pivot: Floats) -> _Linear:
     e, u, z = (np.stack(axis, axis=1) for axis in ((ex, ey, zero), (-ey, ex, zero), (zero, zero, one)))
     weight = np.linalg.inv(cov[:, [[0], [3]], [0, 3]])
     measured = np.stack([dr, dz], axis=1)
-    others = [[1], [2], [4]]
-    across = cov[:, others, [0, 3]]
+    rest_of = [[1], [2], [4]]
+    across = cov[:, rest_of, [0, 3]]
     gain = across @ weight
-    rest = cov[:, others, [1, 2, 4]] - gain @ np.swapaxes(across, 1, 2)
+    rest = cov[:, rest_of, [1, 2, 4]] - gain @ np.swapaxes(across, 1, 2)
     # Displaced by x from the pivot: dr - e x, dz - x_z + tanl share (u x), with e and u turning by -bend (u x).
     per_kappa = pairs.bz / helix.RADIUS_PER_KAPPA
     share = 1 / (1 + per_kappa * kappa * dr)

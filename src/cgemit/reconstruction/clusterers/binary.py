@@ -39,11 +39,11 @@ class BinaryClusterer(Clusterer):
             If a strip is not in the detector.
         """
         err_x, err_v = map(group.among_all, cluster_errors(group.detector, settings, group.numbers))
-        found = _core.reconstruction.find_clusters(
+        columns = _core.reconstruction.find_clusters(
             compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v,
             by_charge=settings.position == "charge", masked=strip_lists(group.detector).masked, bridge=settings.bridge,
         )  # fmt: skip
-        return Table("clusters", found, **digis.cover)
+        return Table("clusters", columns, **digis.cover)
 
     def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return zeros: errors follow from the number of strips, see `Clusterer.expected_errors`."""

@@ -77,15 +77,15 @@ class ChargeClusterer(Clusterer):
         ValueError
             If a layer's gas or field has no table of electron transport.
         """
-        found = self.columns(group, digis, self._inputs(group), settings.bridge, directions)
+        columns = self.columns(group, digis, self._inputs(group), settings.bridge, directions)
         tracks = np.empty((0, 2)) if directions is None else directions
         # X and V of a crossing come from the same electrons.
-        layer = found["layer"]
+        layer = columns["layer"]
         alone, tracked = (self._correlation(group, of_track)[layer] for of_track in (False, True))
         along = np.zeros(len(alone), np.bool_)
         along[: len(tracks)] = np.isfinite(tracks[: len(along), 0])
-        found["corr_xv"] = np.where(along, tracked, alone)
-        return Table("clusters", found, **digis.cover)
+        columns["corr_xv"] = np.where(along, tracked, alone)
+        return Table("clusters", columns, **digis.cover)
 
     def columns(
         self, group: ReadoutGroup, digis: Table, inputs: ErrorInputs, bridge: int = 0, directions: Floats | None = None
@@ -112,13 +112,13 @@ class ChargeClusterer(Clusterer):
         of_layers = ("values", "charges_apart", "times_apart", "log_numbers")
         shares = {name: group.among_all(inputs.shares[name]) for name in of_layers}
         delayed = {name: group.among_all(delays[name], 2) for name in ("charges", "delays")}
-        found: dict[str, Any] = _core.reconstruction.find_charge_time_clusters(
+        columns: dict[str, Any] = _core.reconstruction.find_charge_time_clusters(
             compiled(detector), dict(digis.columns), **rules, timing=by_layer, chip=inputs.chip, planes=planes,
             shares=inputs.shares | shares, delays=delays | delayed, estimator=self.readout.estimator,
             masked=strip_lists(detector).masked, bridge=bridge, gain=strip_gains(detector),
             valley=self.readout.valley, slopes=tracks[:, 0], paths=tracks[:, 1],
         )  # fmt: skip
-        return found
+        return columns
 
     def _expected(self, group: ReadoutGroup, of_track: bool) -> Expected:
         return expected_errors(group.detector, self.readout, self.readout.estimator, of_track, group.numbers)

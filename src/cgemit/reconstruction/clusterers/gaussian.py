@@ -28,10 +28,10 @@ class PositionClusterer(Clusterer):
             If a sheet has not as many X as V positions: the n-th of both belong together.
         """
         err_x, err_v = (group.among_all(column) for column in self._errors(group))
-        found = _core.reconstruction.clusters_of_positions(
+        columns = _core.reconstruction.clusters_of_positions(
             compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v
         )
-        return Table("clusters", found, **digis.cover)
+        return Table("clusters", columns, **digis.cover)
 
     def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return the errors of the readout, see `Clusterer.expected_errors`."""

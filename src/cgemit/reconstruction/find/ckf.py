@@ -303,19 +303,19 @@ def find_tracks(
     detector, settings, fit = load(detector), FindSettings.of(settings), FitSettings.of(fit, "fit")
     if not clusters.covers_as(wire_hits):
         report("find_tracks", ["wire_hits: cover other events than the clusters; expected the same"])
-    event, view, hits, points, number = _measurements(clusters, wire_hits, by_size=fit.cluster_errors == "track")
+    event, view, hits, points, hit_of = _measurements(clusters, wire_hits, by_size=fit.cluster_errors == "track")
     order = np.argsort(event, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    points, number = _Points(points.row, place[points.x], place[points.v]), np.where(number < 0, -1, place[number])
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    points, hit_of = _Points(points.row, rank[points.x], rank[points.v]), np.where(hit_of < 0, -1, rank[hit_of])
     offsets = np.searchsorted(event[order], np.append(clusters.events, np.iinfo(np.int64).max)).astype(np.int64)
     hits = {name: np.ascontiguousarray(column[order]) for name, column in hits.items()}
     core, weak = compiled_matter(detector, fit), abs(detector.field.bz) < _WEAK_FIELD
-    found = _core.reconstruction.find_tracks(
+    out = _core.reconstruction.find_tracks(
         core.in_field(math.copysign(_FIELD, detector.field.bz)) if weak else core, event_offsets=offsets, hits=hits,
-        settings=_core_settings(settings, fit, weak), pairs=_pairs(detector, clusters, number, points),
+        settings=_core_settings(settings, fit, weak), pairs=_pairs(detector, clusters, hit_of, points),
     )  # fmt: skip
-    return _tables(found, clusters, view[order], hits["hit"], points, settings)
+    return _tables(out, clusters, view[order], hits["hit"], points, settings)
 
 
 #: T. A weaker field does not tell the momentum of a track. The finder then scales it to the other one: the tracks are
@@ -372,11 +372,11 @@ def _measurements(
     (first_x, of_x), (first_v, of_v) = (
         _merged(clusters, rows, points[rows], size[rows], name) for rows, name in ((x, "x"), (v, "v"))
     )
-    number = np.full((2, len(clusters)), -1)
-    number[HIT_X, x], number[HIT_V, v] = of_x, of_v + len(first_x)
+    hit_of = np.full((2, len(clusters)), -1)
+    hit_of[HIT_X, x], hit_of[HIT_V, v] = of_x, of_v + len(first_x)
     rows = np.flatnonzero(points)
-    _, once = np.unique(number[:, rows], axis=1, return_index=True)
-    of_points = _Points(rows[once], *number[:, rows[once]])
+    _, once = np.unique(hit_of[:, rows], axis=1, return_index=True)
+    of_points = _Points(rows[once], *hit_of[:, rows[once]])
     x, v = x[first_x], v[first_v]
     strips = np.concatenate([x, v])
     kind = np.repeat([HIT_X, HIT_V], [len(x), len(v)])
@@ -396,7 +396,7 @@ def _measurements(
     }
     view = both(np.where(points[strips], HIT_XV, kind), np.full(n, HIT_WIRE), "i1")
     event = both(clusters["event"][strips], wire_hits["event"], "i8")
-    return event, view, hits, of_points, np.where(points, -1, number.max(axis=0))
+    return event, view, hits, of_points, np.where(points, -1, hit_of.max(axis=0))
 
 
 def _merged(clusters: Table, rows: Column, points: Column, size: Column, name: str) -> tuple[Column, Column]:
@@ -410,12 +410,12 @@ def _merged(clusters: Table, rows: Column, points: Column, size: Column, name: s
         new[1:] = ~(np.diff(value[order]) <= near) | ~(np.abs(np.diff(sigma[order])) <= near)
         for key in keys:
             new[1:] |= key[order][1:] != key[order][:-1]
-    number = np.empty(len(rows), np.int64)
-    number[order] = np.cumsum(new) - 1
-    return order[new], number
+    hit_of = np.empty(len(rows), np.int64)
+    hit_of[order] = np.cumsum(new) - 1
+    return order[new], hit_of
 
 
-def _pairs(detector: Detector, clusters: Table, number: Column, points: _Points) -> dict[str, Column]:
+def _pairs(detector: Detector, clusters: Table, hit_of: Column, points: _Points) -> dict[str, Column]:
     """Return the scores of XV clusters with the numbers of their X and V among the measurements, if there are any.
 
     Sensors of `[layer.NAME]` measure points: their pairs are certain, with a score of infinity.
@@ -424,10 +424,10 @@ def _pairs(detector: Detector, clusters: Table, number: Column, points: _Points)
     certain = of_points[clusters["layer"]]
     score = np.where(certain, np.inf, np.nan_to_num(clusters["score"]))
     pairs = np.flatnonzero((score != 0) & (clusters["view"] == XV_CLUSTER) & (clusters["x_cluster"] >= 0))
-    own = np.flatnonzero(certain[points.row])
-    x, v = (number[clusters[name][pairs]] for name in ("x_cluster", "v_cluster"))
-    scores = np.concatenate([score[pairs], np.full(len(own), np.inf)])
-    return {"x": np.append(x, points.x[own]), "v": np.append(v, points.v[own]), "score": scores}
+    certain_rows = np.flatnonzero(certain[points.row])
+    x, v = (hit_of[clusters[name][pairs]] for name in ("x_cluster", "v_cluster"))
+    scores = np.concatenate([score[pairs], np.full(len(certain_rows), np.inf)])
+    return {"x": np.append(x, points.x[certain_rows]), "v": np.append(v, points.v[certain_rows]), "score": scores}
 
 
 def _rejoined(candidate: Column, hit: Column, points: _Points, n: int) -> Column:
@@ -452,28 +452,28 @@ def _rejoined(candidate: Column, hit: Column, points: _Points, n: int) -> Column
 
 
 def _tables(
-    found: dict[str, Column], clusters: Table, view: Column, row: Column, points: _Points, settings: FindSettings
+    out: dict[str, Column], clusters: Table, view: Column, row: Column, points: _Points, settings: FindSettings
 ) -> dict[str, Table]:
     """Return the tables of the finder; `view` and `row` of each measurement."""
-    event = clusters.events[found["event"]]
+    event = clusters.events[out["event"]]
     n = len(event)
     kind = _kind(settings)
     candidates = {
         "event": event, "candidate": np.arange(n) - np.searchsorted(event, event),
         "pdg": np.full(n, abs(kind.pdg)), "mass": np.full(n, kind.mass), "charge": np.full(n, abs(kind.charge)),
     }  # fmt: skip
-    candidate = np.repeat(np.arange(n), np.diff(found["offsets"]))
-    of_points = np.flatnonzero(view[found["hits"]] == HIT_XV)
+    candidate = np.repeat(np.arange(n), np.diff(out["offsets"]))
+    of_points = np.flatnonzero(view[out["hits"]] == HIT_XV)
     measurements = len(row)
-    view, row = view[found["hits"]], row[found["hits"]]
-    row[of_points] = _rejoined(candidate[of_points], found["hits"][of_points], points, measurements)
+    view, row = view[out["hits"]], row[out["hits"]]
+    row[of_points] = _rejoined(candidate[of_points], out["hits"][of_points], points, measurements)
     once = row >= 0
     hits = {"event": event[candidate[once]], "candidate": candidate[once], "view": view[once], "hit": row[once]}
-    about = clusters.cover | {"meta": {"finder": "ckf", "hypothesis": hypothesis_name(kind.pdg)}}
+    cover = clusters.cover | {"meta": {"finder": "ckf", "hypothesis": hypothesis_name(kind.pdg)}}
     return {
-        "candidates": Table("candidates", candidates, **about),
-        "candidate_hits": Table("candidate_hits", hits, **about),
+        "candidates": Table("candidates", candidates, **cover),
+        "candidate_hits": Table("candidate_hits", hits, **cover),
         "searches": Table(
-            "searches", {"event": clusters.events, "seeds": found["seeds"], "limits": found["limits"]}, **about
+            "searches", {"event": clusters.events, "seeds": out["seeds"], "limits": out["limits"]}, **cover
         ),
     }

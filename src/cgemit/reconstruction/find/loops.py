@@ -83,28 +83,28 @@ def _pairs(tracks: Table, rows: Rows) -> tuple[Rows, Rows]:
     return one, other
 
 
-def _groups(n: int, one: Rows, other: Rows, chi2: Floats) -> Rows:
+def _groups(n: int, first: Rows, other: Rows, chi2: Floats) -> Rows:
     """Return a number per row, the same for linked ones: best pairs first, if no two rows of the group disagree."""
-    group, members = np.arange(n), {row: [row] for row in {*one.tolist(), *other.tolist()}}
-    pairs = sorted(zip(chi2.tolist(), one.tolist(), other.tolist(), strict=True))
+    group, members = np.arange(n), {row: [row] for row in {*first.tolist(), *other.tolist()}}
+    pairs = sorted(zip(chi2.tolist(), first.tolist(), other.tolist(), strict=True))
     apart = {frozenset(pair) for value, *pair in pairs if value >= GATE}
     for value, a, b in pairs:
         if value >= GATE:
             break
-        kept, added = int(group[a]), int(group[b])
-        if kept != added and not any(frozenset((i, k)) in apart for i in members[kept] for k in members[added]):
-            members[kept] += members.pop(added)
-            group[members[kept]] = kept
+        group_a, added = int(group[a]), int(group[b])
+        if group_a != added and not any(frozenset((i, k)) in apart for i in members[group_a] for k in members[added]):
+            members[group_a] += members.pop(added)
+            group[members[group_a]] = group_a
     return group
 
 
-def pair_chi2(tracks: Table, one: Rows, other: Rows, bz: float) -> Floats:
+def pair_chi2(tracks: Table, first: Rows, other: Rows, bz: float) -> Floats:
     """Return how badly tracks agree with two half turns of one particle.
 
     Parameters
     ----------
     tracks : Table of kind "tracks"
-    one, other : ndarray, (pairs,) int64
+    first, other : ndarray, (pairs,) int64
         Rows.
     bz : float
         T.
@@ -115,11 +115,11 @@ def pair_chi2(tracks: Table, one: Rows, other: Rows, bz: float) -> Floats:
         Chi-square of five terms.
     """
     helices = np.stack([tracks[name] for name in PARAMETERS], axis=1)
-    a, b = helices[one], helices[other].copy()
+    a, b = helices[first], helices[other].copy()
     opposite = a[:, _KAPPA] * b[:, _KAPPA] < 0
     b[opposite] = _reversed(b[opposite])
     variance = np.stack([tracks["cov"][:, k, k] for k in range(len(PARAMETERS))], axis=1)
-    variance = variance[one] + variance[other]
+    variance = variance[first] + variance[other]
     radius = np.abs(RADIUS_PER_KAPPA / bz) / np.sqrt(np.abs(a[:, _KAPPA] * b[:, _KAPPA]))
     slope = 0.5 * (a[:, _TANL] + b[:, _TANL])
     kappa = np.log(b[:, _KAPPA] / a[:, _KAPPA])
