@@ -132,7 +132,7 @@ class AlignmentTable(Shown, Tabular):
         if not rows or tuple(rows[0]) != _COLUMNS:
             given = ", ".join(rows[0]) if rows else "nothing"
             raise DetectorError(str(path), [Problem("columns", given[:200], ", ".join(_COLUMNS))])
-        problems, found = [], []
+        problems, constants = [], []
         for line, row in enumerate(rows[1:], start=2):
             if len(row) != len(_COLUMNS):
                 problems.append(Problem(f"line {line}", f"{len(row)} values", f"{len(_COLUMNS)}"))
@@ -143,21 +143,21 @@ class AlignmentTable(Shown, Tabular):
                     problems.append(Problem(f"line {line}: {name}", repr(text), "a number or nan"))
             if row[6] not in STATUSES:
                 problems.append(Problem(f"line {line}: status", repr(row[6]), f"one of {', '.join(STATUSES)}"))
-            found.append((row[0], row[1], *numbers, row[6]))
+            constants.append((row[0], row[1], *numbers, row[6]))
         if problems:
             raise DetectorError(str(path), problems)
-        return cls(*map(tuple, zip(*found, strict=True))) if found else cls(*((),) * 7)
+        return cls(*map(tuple, zip(*constants, strict=True))) if constants else cls(*((),) * 7)
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
         rows = []
         for name, unit, value, err, prior, correlation, status in zip(*self.columns().values(), strict=True):
             factor, shown = {"mm": (1e3, "um"), "rad": (1e3, "mrad")}.get(str(unit), (1.0, str(unit)))
-            number = with_error(factor * value, factor * err) if np.isfinite(value) else "-"
+            shown_value = with_error(factor * value, factor * err) if np.isfinite(value) else "-"
             if status == "fixed":
-                number = f"{factor * value:g}"
+                shown_value = f"{factor * value:g}"
             survey = f"{factor * prior:g}" if np.isfinite(prior) else "-"
             shared = f"{correlation:.3f}" if np.isfinite(correlation) else "-"
-            rows.append([str(name), shown, number, survey, shared, str(status)])
+            rows.append([str(name), shown, shown_value, survey, shared, str(status)])
         return f"{len(rows)} constants", ("constant", "unit", "value", "survey", "correlation", "status"), rows
 
 
@@ -168,12 +168,12 @@ def _number(text: str) -> float | None:
         return None
 
 
-def constants_in(given: object, source: str) -> dict[str, float]:
+def constants_in(constants: object, source: str) -> dict[str, float]:
     """Return values by name of what `Detector.with_alignment` takes.
 
     Parameters
     ----------
-    given : AlignmentTable, mapping, or path of a table
+    constants : AlignmentTable, mapping, or path of a table
     source : str
         For messages.
 
@@ -182,16 +182,16 @@ def constants_in(given: object, source: str) -> dict[str, float]:
     DetectorError
         If it is none of these, or the file has problems.
     """
-    if isinstance(given, str | os.PathLike):
-        given = AlignmentTable.load(Path(given))
-    if isinstance(given, AlignmentTable):
-        return given.values()
-    numbers = given.items() if isinstance(given, Mapping) else ()
-    if not isinstance(given, Mapping) or not all(
+    if isinstance(constants, str | os.PathLike):
+        constants = AlignmentTable.load(Path(constants))
+    if isinstance(constants, AlignmentTable):
+        return constants.values()
+    numbers = constants.items() if isinstance(constants, Mapping) else ()
+    if not isinstance(constants, Mapping) or not all(
         isinstance(name, str) and isinstance(value, int | float | np.number) for name, value in numbers
     ):
         expected = "a table of constants, its path, or numbers by name"
-        raise DetectorError(source, [Problem("with_alignment", type(given).__name__, expected)])
+        raise DetectorError(source, [Problem("with_alignment", type(constants).__name__, expected)])
     return {name: float(value) for name, value in numbers}
 
 
@@ -209,7 +209,7 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
     DetectorError
         Listing every name that is no number of the detector, and every value that is not finite.
     """
-    problems, found = list[Problem](), dict[str, object]()
+    problems, overrides = list[Problem](), dict[str, object]()
     numbers: dict[str, float] = {}  # several constants may move one
     sheets: dict[str, list[float]] = {}
     points: dict[int, dict[int, float]] = {}
@@ -242,24 +242,24 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
             problems.append(
                 Problem(name, f"{change:g}", f"a wire layer of the detector, and {nodes[0]} to {nodes[-1]} mm")
             )
-    found |= {path: Known(value) for path, value in numbers.items()}
+    overrides |= {path: Known(value) for path, value in numbers.items()}
     for path, of_sheets in sheets.items():
         now = value_at(detector, path)
         if now is not None and not all(now[1].low <= one <= now[1].high for one in of_sheets):
             given = ", ".join(f"{one:g}" for one in of_sheets)
             problems.append(Problem(path, given, f"numbers from {now[1].low:g} to {now[1].high:g}"))
-        found[path] = Known(tuple(of_sheets))
+        overrides[path] = Known(tuple(of_sheets))
     for wires in _wire_layers(detector, None):
         if wires.number not in points:
             continue
-        path, made = wires.path, _relation_with(wires, points[wires.number], nodes)
-        if any(b.time <= a.time for a, b in pairwise(made)):
-            at = next(a.distance for a, b in pairwise(made) if b.time <= a.time)
+        path, nodes_after = wires.path, _relation_with(wires, points[wires.number], nodes)
+        if any(b.time <= a.time for a, b in pairwise(nodes_after)):
+            at = next(a.distance for a, b in pairwise(nodes_after) if b.time <= a.time)
             problems.append(Problem(f"{path}.drift_relation", f"times that fall from {at:g} mm", "times that rise"))
-        found |= {f"{path}.drift_relation": Known(made), f"{path}.drift_velocity": Known(None)}
+        overrides |= {f"{path}.drift_relation": Known(nodes_after), f"{path}.drift_velocity": Known(None)}
     if problems:
         raise DetectorError(detector.name, problems)
-    return found
+    return overrides
 
 
 def _turns(layer: Layer) -> tuple[float, ...]:
@@ -267,10 +267,10 @@ def _turns(layer: Layer) -> tuple[float, ...]:
     return tuple(own[i % len(own)] for i in range(layer.sheets))
 
 
-def _wire_layers(detector: Contents, number: str | None) -> list[WireLayer]:
+def _wire_layers(detector: Contents, layer_number: str | None) -> list[WireLayer]:
     """Return the wire layer of a number, or all."""
     layers = detector.drift_chamber.layers if detector.drift_chamber else ()
-    return [layer for layer in layers if number is None or layer.number == int(number)]
+    return [layer for layer in layers if layer_number is None or layer.number == int(layer_number)]
 
 
 def keys_of_constant(detector: Contents, name: str) -> list[tuple[str, int | None]]:
@@ -283,14 +283,14 @@ def keys_of_constant(detector: Contents, name: str) -> list[tuple[str, int | Non
     """
     if name == FIELD_SCALE:
         return [("field.bz", None)]
-    if found := _SHEET.fullmatch(name):
+    if match := _SHEET.fullmatch(name):
         for layer in detector.layers:
-            if layer.path == found[1] and value_at(detector, f"{layer.path}.sheet_{found[3]}"):
-                return [(f"{layer.path}.sheet_{found[3]}", int(found[2]))] if int(found[2]) < layer.sheets else []
+            if layer.path == match[1] and value_at(detector, f"{layer.path}.sheet_{match[3]}"):
+                return [(f"{layer.path}.sheet_{match[3]}", int(match[2]))] if int(match[2]) < layer.sheets else []
         return []
-    if found := _PLATE.fullmatch(name):
-        within = [one for one in _wire_layers(detector, None) if int(found[1]) <= one.number <= int(found[2])]
-        return [(f"{one.path}.{found[3]}", None) for one in within]
+    if match := _PLATE.fullmatch(name):
+        within = [one for one in _wire_layers(detector, None) if int(match[1]) <= one.number <= int(match[2])]
+        return [(f"{one.path}.{match[3]}", None) for one in within]
     now = value_at(detector, name)
     known = now is not None and now[1].kind in ("length", "angle", "time", "dimensionless") and name.count(".") > 0
     return [(name, None)] if known else []
@@ -310,19 +310,19 @@ def value_of(detector: Contents, name: str) -> tuple[float, float, float] | None
         layers = _wire_layers(detector, point[1]) if int(point[2]) in points_of_relation(detector) else []
         times = [_time_at(layer, float(point[2])) for layer in layers]
         return (float(np.mean(times)), -_MOST_TIME, _MOST_TIME) if times else None
-    found = []
+    entries = []
     for path, sheet in keys_of_constant(detector, name):
         now = value_at(detector, path)
         assert now is not None
         value, key = now
         if sheet is not None:
             value = (value[sheet % len(value)] if value else 0.0) or 0.0
-        found.append((float(value or 0.0), key.low, key.high))
-    if not found:
+        entries.append((float(value or 0.0), key.low, key.high))
+    if not entries:
         return None
     if name == FIELD_SCALE:
-        return float(np.log(abs(found[0][0]))), -0.5, 0.5
-    values, low, high = (np.array(one) for one in zip(*found, strict=True))
+        return float(np.log(abs(entries[0][0]))), -0.5, 0.5
+    values, low, high = (np.array(one) for one in zip(*entries, strict=True))
     return float(np.mean(values)), float(np.max(low - values)), float(np.min(high - values))
 
 
@@ -448,14 +448,14 @@ def rigid_parts(detector: Contents) -> dict[str, tuple[Floats, Floats]]:
     -------
     dict of str to (ndarray, (n, 3) float64, and ndarray, (3,) float64), mm
     """
-    found = {}
+    parts = {}
     for layer in detector.layers:
         path = f"{layer.group}.{layer.label}"
-        found[path] = (_cylinder([(layer.r_mid, *layer.ends)]), layer.shift)
+        parts[path] = (_cylinder([(layer.r_mid, *layer.ends)]), layer.shift)
     chamber = detector.drift_chamber
     if chamber is not None and chamber.layers:
-        found["drift_chamber"] = _cylinder([(one.r_mid, *one.ends) for one in chamber.layers]), chamber.shift
-    return found
+        parts["drift_chamber"] = _cylinder([(one.r_mid, *one.ends) for one in chamber.layers]), chamber.shift
+    return parts
 
 
 def _cylinder(layers: list[tuple[float, float, float]]) -> Floats:
@@ -492,25 +492,25 @@ def pattern_values(detector: Contents, name: str) -> tuple[dict[str, float], flo
     def follow(path: str, keys: tuple[str, ...], points: Floats, columns: list[Floats]) -> tuple[float, float]:
         wanted = pattern_at(name, points, size)
         matrix = np.stack([one.ravel() for one in columns], axis=1)
-        found = np.linalg.lstsq(matrix, wanted.ravel(), rcond=None)[0]
+        solution = np.linalg.lstsq(matrix, wanted.ravel(), rcond=None)[0]
         names = (f"{path}.{key}" for key in keys)
-        values.update({key: float(one) for key, one in zip(names, found, strict=True) if abs(one) > 1e-12})
+        values.update({key: float(one) for key, one in zip(names, solution, strict=True) if abs(one) > 1e-12})
         # Parts count alike, whatever the number of their points.
-        return float(np.mean(wanted**2)), float(np.mean((matrix @ found) ** 2))
+        return float(np.mean(wanted**2)), float(np.mean((matrix @ solution) ** 2))
 
     shares = []
     for path, (points, pivot) in parts.items():
         columns = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
         columns += [np.cross(axis, points - pivot) for axis in np.eye(3)]
         shares.append(follow(path, PLACEMENT, points, columns))
-    total, made = np.sum(shares, axis=0)
-    if made >= _LEAST_SHARE * total:
-        return values, float(made / total) if total else 0.0
+    total, followed = np.sum(shares, axis=0)
+    if followed >= _LEAST_SHARE * total:
+        return values, float(followed / total) if total else 0.0
     # Whole parts cannot; wires may by their ends.
     values.clear()
     shares = [follow(one.path, END_SHIFT, *_by_ends(one)) for one in detector.wires]
-    total, made = np.sum(shares, axis=0) if shares else (0.0, 0.0)
-    return values, float(made / total) if total else 0.0
+    total, followed = np.sum(shares, axis=0) if shares else (0.0, 0.0)
+    return values, float(followed / total) if total else 0.0
 
 
 def _by_ends(layer: WireLayer) -> tuple[Floats, list[Floats]]:
@@ -520,9 +520,9 @@ def _by_ends(layer: WireLayer) -> tuple[Floats, list[Floats]]:
     for share in np.linspace(0, 1, 9):
         points.append(share * ends[:, 0] + (1 - share) * ends[:, 1])
         moves = [
-            part * np.broadcast_to(one, points[-1].shape)
+            part * np.broadcast_to(axis, points[-1].shape)
             for end, part in ((0, share), (1, 1 - share))
-            for one in (*np.eye(3)[:2], np.cross(np.eye(3)[2], ends[:, end]))
+            for axis in (*np.eye(3)[:2], np.cross(np.eye(3)[2], ends[:, end]))
         ]
         for column, move in zip(columns, moves, strict=True):
             column.append(move)
@@ -548,7 +548,7 @@ def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]
         problems.append(Problem("seed", shown(seed), "a whole number from 0 to 2**64 - 1"))
     paths = list(rigid_parts(detector))
     spread: dict[str, float] = {}
-    found: dict[str, float] = {}
+    drawn_values: dict[str, float] = {}
     for key, size in sizes.items():
         if key in PATTERNS:
             length = _size(key, size, "length", problems)
@@ -557,7 +557,7 @@ def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]
                 expected = "a pattern that displacements of whole parts or of the ends of wires make"
                 problems.append(Problem(key, f"{100 * share:.0f} % of it", expected))
             for name, value in values.items():
-                found[name] = found.get(name, 0.0) + length * value
+                drawn_values[name] = drawn_values.get(name, 0.0) + length * value
             continue
         named = [path for path in paths if _fits(path, key)]
         if named and isinstance(size, tuple | list) and len(size) == 2:
@@ -579,8 +579,8 @@ def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]
         # A constant depends on the seed and its own name alone.
         event = np.array([_FIRST_EVENT + zlib.crc32(name.encode())], np.int64)
         drawn = _core.common.normals(seed, event, np.zeros(1, np.int32), _core.common.Purpose.gun, 0, 0)
-        found[name] = found.get(name, 0.0) + width * float(np.ravel(drawn)[0])
-    return found
+        drawn_values[name] = drawn_values.get(name, 0.0) + width * float(np.ravel(drawn)[0])
+    return drawn_values
 
 
 _FIRST_EVENT = 2**62  # beyond events of any run, so that no draw of a gun is the same
@@ -591,14 +591,14 @@ def _fits(name: str, pattern: str) -> bool:
     return len(words) == len(patterns) and all(map(fnmatchcase, words, patterns))
 
 
-def _size(path: str, given: object, kind: str, problems: list[Problem]) -> float:
+def _size(path: str, raw: object, kind: str, problems: list[Problem]) -> float:
     try:
-        value = parse_quantity(given, kind) if isinstance(given, str) else number(given)
+        value = parse_quantity(raw, kind) if isinstance(raw, str) else number(raw)
     except QuantityError as error:
-        problems.append(Problem(path, shown(given), str(error)))
+        problems.append(Problem(path, shown(raw), str(error)))
         return 0.0
     if not (math.isfinite(value) and value >= 0):
-        problems.append(Problem(path, shown(given), f"a {kind}, 0 or more"))
+        problems.append(Problem(path, shown(raw), f"a {kind}, 0 or more"))
         return 0.0
     return value
 

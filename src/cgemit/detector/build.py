@@ -54,30 +54,30 @@ _BULK = ("x0", "z_over_a", "excitation_energy")
 def library() -> dict[str, Material]:
     """Return the materials that come with the program."""
     reader = Reader()
-    found = read_materials(reader, {}, library_materials())
+    materials = read_materials(reader, {}, library_materials())
     if reader.problems:
         raise DetectorError("_materials.toml", reader.problems)
-    return {name: material for name, material in found.items() if material}
+    return {name: material for name, material in materials.items() if material}
 
 
 def read_materials(reader: Reader, known: Mapping[str, Material], raw: Mapping[str, Any]) -> dict[str, Material | None]:
     """Return `known` materials and those of the tables `raw` by name; None for one with problems, which are noted."""
-    found: dict[str, Material | None] = {name: material for name, material in known.items() if name not in raw}
+    materials: dict[str, Material | None] = {name: material for name, material in known.items() if name not in raw}
     waiting = dict(raw)
     while waiting:
-        ready = [name for name, table in waiting.items() if _base(table) in (None, *found)]
+        ready = [name for name, table in waiting.items() if _base(table) in (None, *materials)]
         if not ready:
             # Report those whose base does not exist; if all bases exist, they form a circle.
             for name in [n for n, table in waiting.items() if _base(table) not in raw] or list(waiting):
                 base = _base(waiting.pop(name)) or ""
-                hint = did_you_mean(base, found)
+                hint = did_you_mean(base, materials)
                 reader.note(f"materials.{name}.base", f'"{base}"', "the name of another material", hint)
-                found[name] = None
+                materials[name] = None
         for name in ready:
             table = waiting.pop(name)
             read_before = isinstance(table, Material)
-            found[name] = table if read_before else _material(reader, name, table, found, known.get(name))
-    return found
+            materials[name] = table if read_before else _material(reader, name, table, materials, known.get(name))
+    return materials
 
 
 def _base(table: object) -> str | None:
@@ -86,15 +86,15 @@ def _base(table: object) -> str | None:
 
 
 def _material(
-    reader: Reader, name: str, raw: object, found: Mapping[str, Material | None], old: Material | None
+    reader: Reader, name: str, raw: object, materials: Mapping[str, Material | None], old: Material | None
 ) -> Material | None:
     """Return the material of a table; values it leaves out come from the `old` material of the same name."""
     path = f"materials.{name}"
     if isinstance(raw, Mapping) and BELOW in raw:
         below = raw[BELOW]
-        old = below if isinstance(below, Material) else _material(Reader(), name, below, found, old) or old
+        old = below if isinstance(below, Material) else _material(Reader(), name, below, materials, old) or old
         raw = {key: value for key, value in raw.items() if key != BELOW}
-    base = found.get(_base(raw) or "")
+    base = materials.get(_base(raw) or "")
     before = len(reader.problems)
     if base or old is None or not isinstance(raw, Mapping):
         defaults = {"density": base.density} if base else {}
@@ -221,11 +221,11 @@ def _mixture(name: str, volumes: tuple[float, ...] | None, density: float | None
         given = "/".join(f"{part:g}" for part in volumes)
         raise MaterialNameError(f'{given} for "{name}"', f"{len(names)} fractions above 0 that add up to 100 %")
     gases = []
-    for one, volume in zip(names, volumes, strict=True):
-        row = _rows().get(one)
-        if not (row["gas"] if row else library()[one].gas if one in library() else True):
-            raise MaterialNameError(f'"{one}" in "{name}"', "a gas", did_you_mean(one, _gas_names()))
-        gases.append((row["gas"] if row else one, volume))
+    for gas_name, volume in zip(names, volumes, strict=True):
+        row = _rows().get(gas_name)
+        if not (row["gas"] if row else library()[gas_name].gas if gas_name in library() else True):
+            raise MaterialNameError(f'"{gas_name}" in "{name}"', "a gas", did_you_mean(gas_name, _gas_names()))
+        gases.append((row["gas"] if row else gas_name, volume))
     full = f"{name} {'/'.join(f'{volume:g}' for volume in volumes)}"
     return _gas(full if not note else name, gases, density), note
 
@@ -374,14 +374,14 @@ def _field(reader: Reader, raw: object) -> Field:
         if not reader.baseless:
             reader.note("field", "nothing", 'a table [field] with kind = "uniform" and bz')
         return Field(kind="uniform", bz=UNUSABLE)
-    given = plain(reader.mapping("field", raw).get("kind", "uniform"))
-    if not isinstance(given, str) or given not in KINDS:
+    kind_name = plain(reader.mapping("field", raw).get("kind", "uniform"))
+    if not isinstance(kind_name, str) or kind_name not in KINDS:
         # The other keys are checked as for every kind of field.
         kinds: list[Any] = list(KINDS.values())
         keys = {name: key for kind in kinds for name, key in keys_of(kind).items()}
         reader.table("field", raw, Field, keys=keys | {"kind": kind_key()})
         return Field(kind="uniform", bz=UNUSABLE)
-    kind = KINDS[given]
+    kind = KINDS[kind_name]
     values = reader.table("field", raw, kind)
     if kind is MapField:
         _read_map(reader, values)
@@ -406,13 +406,13 @@ def _read_map(reader: Reader, values: dict[str, Any]) -> None:
         return
     if checksum is not None and checksum != grid.checksum:
         reader.note("field.checksum", str(checksum), f"{grid.checksum}, that of {values['file']}: the map has changed")
-    own = grid.bz_at_origin()
-    if stated and values["bz"] and abs(own) < _core.kalman.STRAIGHT_FIELD:
+    at_origin = grid.bz_at_origin()
+    if stated and values["bz"] and abs(at_origin) < _core.kalman.STRAIGHT_FIELD:
         given = f"{values['bz']:g} T to scale the map to" if isinstance(values["bz"], float) else "a value"
-        reader.note("field.bz", given, f"none: the map is {own:g} T at the origin")
+        reader.note("field.bz", given, f"none: the map is {at_origin:g} T at the origin")
     values |= {"grid": grid, "checksum": grid.checksum}
     if not stated:
-        values["bz"] = own
+        values["bz"] = at_origin
 
 
 _P = TypeVar("_P", bound=Cylinder | Layer | BackgroundLevel)
@@ -427,15 +427,15 @@ def _parts(
     complete: Callable[[str, dict[str, Any], Problems], None] | None = None,
 ) -> list[_P]:
     """Return the parts of a group in the order of one of their values; parts that were read before stay as they are."""
-    given = reader.mapping(group, tables.get(group, {}))
-    found: list[_P] = []
-    for label, table in given.items():
+    group_table = reader.mapping(group, tables.get(group, {}))
+    parts: list[_P] = []
+    for label, table in group_table.items():
         if isinstance(table, kind):
-            found.append(table)
+            parts.append(table)
             continue
         path = f"{group}.{label}"
-        values = reader.table(path, table, kind, siblings=given)
+        values = reader.table(path, table, kind, siblings=group_table)
         if complete:
             complete(path, values, reader.problems)
-        found.append(kind(label=label, **values))
-    return sorted(found, key=attrgetter(order))
+        parts.append(kind(label=label, **values))
+    return sorted(parts, key=attrgetter(order))

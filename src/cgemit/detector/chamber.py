@@ -49,18 +49,18 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
     if len(rows) > _MOST_WIRE_LAYERS:
         reader.note("drift_chamber.layers", f"{len(rows)} tables", f"at most {_MOST_WIRE_LAYERS}")
         rows = {}
-    for number, row in rows.items():
+    for layer_number, row in rows.items():
         if isinstance(row, WireLayer):
             layers.append(row)
-        elif re.fullmatch(WIRE_NUMBER, str(number)) and int(number) <= LAST_WIRE_LAYER:
-            path = f"drift_chamber.layers.{number}"
-            found = reader.table(path, row, WireLayer, defaults=_defaults(row, common), siblings=rows)
-            _one_of(reader, path, row, found, *_MATTER)
-            _one_of(reader, path, row, found, *_RELATION)
-            _settle_errors(reader, path, row, found)
-            layers.append(WireLayer(number=int(number), **found))
+        elif re.fullmatch(WIRE_NUMBER, str(layer_number)) and int(layer_number) <= LAST_WIRE_LAYER:
+            path = f"drift_chamber.layers.{layer_number}"
+            row_values = reader.table(path, row, WireLayer, defaults=_defaults(row, common), siblings=rows)
+            _one_of(reader, path, row, row_values, *_MATTER)
+            _one_of(reader, path, row, row_values, *_RELATION)
+            _settle_errors(reader, path, row, row_values)
+            layers.append(WireLayer(number=int(layer_number), **row_values))
         else:
-            text = shown(str(number))
+            text = shown(str(layer_number))
             expected = f"the number of a layer, such as 8, up to {LAST_WIRE_LAYER}"
             reader.note(f"drift_chamber.layers.{text[1:-1]}", text, expected)
     cells = sum(layer.cells for layer in layers)
@@ -111,18 +111,18 @@ def _one_of(reader: Reader, path: str, raw: object, values: dict[str, Any], *nam
 
 def _laid_over(generated: dict[str, Any], rows: Mapping[str, Any]) -> dict[str, Any]:
     """Return generated rows with the values of others in their place."""
-    for number, row in rows.items():
-        both = number in generated and isinstance(row, Mapping)
-        generated[number] = {**generated[number], **row} if both else row
+    for layer_number, row in rows.items():
+        both = layer_number in generated and isinstance(row, Mapping)
+        generated[layer_number] = {**generated[layer_number], **row} if both else row
     return generated
 
 
 def _superlayers(reader: Reader, tables: Mapping[str, Any], common: Mapping[str, Any]) -> list[Superlayer]:
     """Return superlayers in the order of the file, their values checked."""
-    found = []
+    complete = []
     for label, table in tables.items():
         if isinstance(table, Superlayer):
-            found.append(table)
+            complete.append(table)
             continue
         path = f"drift_chamber.superlayers.{label}"
         values = reader.table(path, table, Superlayer, defaults=_defaults(table, common), siblings=tables)
@@ -136,8 +136,8 @@ def _superlayers(reader: Reader, tables: Mapping[str, Any], common: Mapping[str,
                 values[name] = (UNUSABLE,) if key.kind in OF_LISTS else UNUSABLE
         if values.get("stereo") and values.get("twist"):
             reader.note(f"{path}.twist", "both stereo and twist", "one of them: each follows from the other")
-        found.append(Superlayer(label=str(label), **values))
-    return found
+        complete.append(Superlayer(label=str(label), **values))
+    return complete
 
 
 def _numbers(value: Any) -> list[int | float]:
@@ -163,23 +163,25 @@ def _wire_rows(reader: Reader, superlayers: Sequence[Superlayer]) -> dict[str, A
     rows: list[dict[str, Any]] = []
     border = UNUSABLE  # where the superlayer before ends
     reach, before = UNUSABLE, ""  # the outermost border so far, and its superlayer
-    for one in superlayers:
-        path = f"drift_chamber.superlayers.{one.label}"
-        start = border if one.r_in is None else one.r_in
-        if one.r_in is None and one is superlayers[0] and not reader.baseless:
+    for superlayer in superlayers:
+        path = f"drift_chamber.superlayers.{superlayer.label}"
+        start = border if superlayer.r_in is None else superlayer.r_in
+        if superlayer.r_in is None and superlayer is superlayers[0] and not reader.baseless:
             reader.note(f"{path}.r_in", "nothing", "the inner border of the innermost superlayer")
         good, border = True, start
-        if one.r_in is not None and start < reach - _TOUCH:
+        if superlayer.r_in is not None and start < reach - _TOUCH:
             expected = f"at least {reach:.6g} mm, the outer border of {before}: superlayers from inside outward"
             reader.note(f"{path}.r_in", f"{start:g} mm", expected)
             good = False
-        for i in range(1 if math.isnan(one.layers) else one.layers):
-            row, border = _wire_row(one, i, border, shifted=one.stagger and len(rows) % 2 == 1)
-            good = good and _possible(reader, path, one, row, len(rows))
-            more = {name: getattr(one, name) for name in FOR_ALL_LAYERS} | ({"gas": one.gas} if one.gas else {})
+        for i in range(1 if math.isnan(superlayer.layers) else superlayer.layers):
+            row, border = _wire_row(superlayer, i, border, shifted=superlayer.stagger and len(rows) % 2 == 1)
+            good = good and _possible(reader, path, superlayer, row, len(rows))
+            more = {name: getattr(superlayer, name) for name in FOR_ALL_LAYERS} | (
+                {"gas": superlayer.gas} if superlayer.gas else {}
+            )
             rows.append(more | row if good else _UNUSABLE_ROW)
         if not border <= reach:
-            reach, before = border, one.label
+            reach, before = border, superlayer.label
     rows = rows or [_UNUSABLE_ROW]
     return {str(number): {name: Known(value) for name, value in row.items()} for number, row in enumerate(rows)}
 
@@ -187,28 +189,28 @@ def _wire_rows(reader: Reader, superlayers: Sequence[Superlayer]) -> dict[str, A
 _UNUSABLE_ROW = {name: unusable(key) for name, key in keys_of(WireLayer).items()}
 
 
-def _wire_row(one: Superlayer, i: int, border: float, *, shifted: bool) -> tuple[dict[str, Any], float]:
+def _wire_row(superlayer: Superlayer, i: int, border: float, *, shifted: bool) -> tuple[dict[str, Any], float]:
     """Return the wires of layer `i` of a superlayer and the outer border of its cells, which begin at a border.
 
     Radii are those in the middle of the wires. There, the cells of a count are as high as wide, h = 2 pi r/n with
     r = border + h/2.
     """
-    width = one.cells if isinstance(one.cells, float) else None
-    share = math.pi / one.cells  # half a cell in rad, of a count
-    height = one.height or width or 2 * border * share / (1 - share)
+    width = superlayer.cells if isinstance(superlayer.cells, float) else None
+    share = math.pi / superlayer.cells  # half a cell in rad, of a count
+    height = superlayer.height or width or 2 * border * share / (1 - share)
     r_mid = border + 0.5 * height
-    cells = one.cells if width is None else _whole(2 * math.pi * r_mid / width)
-    if one.twist:
-        twist = one.twist[i % len(one.twist)]
+    cells = superlayer.cells if width is None else _whole(2 * math.pi * r_mid / width)
+    if superlayer.twist:
+        twist = superlayer.twist[i % len(superlayer.twist)]
     else:
-        angle = one.stereo[i % len(one.stereo)] if one.stereo else 0.0
-        twist = 2 * math.atan(one.half_length * math.tan(angle) / r_mid)
+        angle = superlayer.stereo[i % len(superlayer.stereo)] if superlayer.stereo else 0.0
+        twist = 2 * math.atan(superlayer.half_length * math.tan(angle) / r_mid)
     row = {
         "cells": cells,
         "r_end": r_mid / math.cos(0.5 * twist),
-        "half_length": one.half_length,
-        "z_min": one.z_min,
-        "z_max": one.z_max,
+        "half_length": superlayer.half_length,
+        "z_min": superlayer.z_min,
+        "z_max": superlayer.z_max,
         "twist_cells": twist * cells / (2 * math.pi),
         "phi_east": 0.5 * twist + (math.pi / cells if shifted and cells else 0.0),
     }
@@ -219,17 +221,19 @@ def _whole(value: float) -> int | float:
     return value if math.isnan(value) else round(value)
 
 
-def _possible(reader: Reader, path: str, one: Superlayer, row: Mapping[str, Any], number: int) -> bool:
+def _possible(reader: Reader, path: str, superlayer: Superlayer, row: Mapping[str, Any], layer_number: int) -> bool:
     """Return whether a layer is possible, and note its problem, that of the first key that causes it."""
     turn = 2 * math.pi * abs(row["twist_cells"]) / row["cells"] if row["cells"] else 0.0
     if turn > math.pi / 2 + 1e-9:
         r_mid = row["r_end"] * math.cos(0.5 * turn)
-        most = 1000 * math.atan(r_mid / one.half_length)
-        given = f"a twist of {math.degrees(turn):.4g} deg of layer {number}"
+        most = 1000 * math.atan(r_mid / superlayer.half_length)
+        given = f"a twist of {math.degrees(turn):.4g} deg of layer {layer_number}"
         reader.note(f"{path}.stereo", given, f"at most a quarter turn, here {most:.4g} mrad")
         return False
     causes = {"cells": "cells", "r_end": "layers", "twist_cells": "stereo"}
     return all(
-        _fits(reader, f"{path}.{causes[name]}", row[name], keys_of(WireLayer)[name], f" ({name} of layer {number})")
+        _fits(
+            reader, f"{path}.{causes[name]}", row[name], keys_of(WireLayer)[name], f" ({name} of layer {layer_number})"
+        )
         for name in causes
     )

@@ -66,11 +66,13 @@ def checked(*names: str, ignore: Collection[str] = ()) -> Callable[[Callable[P, 
         @functools.wraps(function)
         def refusing(*args: P.args, **kwargs: P.kwargs) -> R:
             bound = signature.bind(*args, **kwargs)
-            given = bound.arguments
-            tables = {name: given.get(name) for name in names if not (given.get(name) is None and name in optional)}
+            arguments = bound.arguments
+            tables = {
+                name: arguments.get(name) for name in names if not (arguments.get(name) is None and name in optional)
+            }
             channels = None
-            if "detector" in given:
-                given["detector"] = detector = load(given["detector"])
+            if "detector" in arguments:
+                arguments["detector"] = detector = load(arguments["detector"])
                 channels = channels_of(detector)
             problems = table_problems(channels, ignore, **tables)
             report(f"{function.__name__}", problems)

@@ -25,11 +25,11 @@ def value_problems(detector: Contents) -> list[Problem]:
     problems = _below("field", _part_problems(detector.field))
     for group in ("beam_pipe", "walls", "background"):
         for part in getattr(detector, group):
-            if found := _part_problems(part):
-                problems += _below(f"{group}.{part.label}", found)
+            if wrong := _part_problems(part):
+                problems += _below(f"{group}.{part.label}", wrong)
     for layer in detector.barrels:
-        if found := _part_problems(layer):
-            problems += _below(layer.path, found)
+        if wrong := _part_problems(layer):
+            problems += _below(layer.path, wrong)
     chamber = detector.drift_chamber
     problems += _below("drift_chamber", _part_problems(chamber)) if chamber else []
     return problems + field_problems(detector.field) + _coil_problems(detector)
@@ -164,14 +164,16 @@ def unreachable(detector: Contents) -> list[str]:
     detector : Contents
     """
     radius, first, last = field_range(detector.field)
-    found: dict[str, list[str]] = {}
+    paths_of: dict[str, list[str]] = {}
     layers: list[Layer | WireLayer] = [*detector.layers, *detector.wires]
     for layer in layers:
         low, high = layer.ends_within(radius)
         if text := _unreached(layer.ends, max(first, low), min(last, high)):
-            found.setdefault(text, []).append(layer.path)
+            paths_of.setdefault(text, []).append(layer.path)
     whole = len(layers)
-    return [f"{', '.join(_shortened(paths))} ({len(paths)} of {whole} layers): {text}" for text, paths in found.items()]
+    return [
+        f"{', '.join(_shortened(paths))} ({len(paths)} of {whole} layers): {text}" for text, paths in paths_of.items()
+    ]
 
 
 def _unreached(ends: tuple[float, float], first: float, last: float) -> str:
@@ -227,7 +229,7 @@ def _overlaps(spans: Sequence[Span]) -> list[Problem]:
     ]
 
 
-def _overlap(part: Span, others: Sequence[Span]) -> Problem:
-    more = f" and {len(others) - 3} more" if len(others) > 3 else ""
-    expected = f"no overlap with {', '.join(map(str, others[:3]))}{more}"
-    return Problem(part.path, f"r = {part.r_in:.4f} to {part.r_out:.4f} mm", expected)
+def _overlap(span: Span, over: Sequence[Span]) -> Problem:
+    more = f" and {len(over) - 3} more" if len(over) > 3 else ""
+    expected = f"no overlap with {', '.join(map(str, over[:3]))}{more}"
+    return Problem(span.path, f"r = {span.r_in:.4f} to {span.r_out:.4f} mm", expected)

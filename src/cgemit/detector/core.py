@@ -50,11 +50,11 @@ def wire_lists(chamber: DriftChamber) -> ChannelLists:
     ----------
     chamber : DriftChamber
     """
-    found: dict[str, list[Ints]] = {"dead": [], "hot": []}
+    lists: dict[str, list[Ints]] = {"dead": [], "hot": []}
     for layer, gid in zip(chamber.layers, chamber.gid_first, strict=True):
-        for kind, parts in found.items():
+        for kind, parts in lists.items():
             parts += [gid + np.arange(low, high + 1, dtype=np.int32) for low, high in getattr(layer, kind)]
-    return _lists(found)
+    return _lists(lists)
 
 
 def _lists(found: dict[str, list[Ints]]) -> ChannelLists:
@@ -70,18 +70,18 @@ def strip_lists(detector: Detector) -> ChannelLists:
     ----------
     detector : Detector
     """
-    found: dict[str, list[Ints]] = {"dead": [], "hot": []}
+    lists: dict[str, list[Ints]] = {"dead": [], "hot": []}
     first = 0
     for layer in detector.layers:
         per_sheet = layer.strips_x + layer.strips_v
         for sheet in range(layer.sheets):
-            found["dead"].append(seam_strips(layer) + first + sheet * per_sheet)
-        for kind, parts in found.items():
+            lists["dead"].append(seam_strips(layer) + first + sheet * per_sheet)
+        for kind, parts in lists.items():
             for view, offset in (("x", 0), ("v", layer.strips_x)):
                 for sheet, low, high in getattr(layer, f"{kind}_{view}"):
                     parts.append(np.arange(low, high + 1, dtype=np.int32) + first + sheet * per_sheet + offset)
         first += layer.sheets * per_sheet
-    return _lists(found)
+    return _lists(lists)
 
 
 def seam_strips(layer: Layer) -> Ints:
@@ -310,12 +310,12 @@ class SlabTable(NamedTuple):
     composition: Columns
 
 
-def slab_table(found: Sequence[Slab]) -> SlabTable:
+def slab_table(matter: Sequence[Slab]) -> SlabTable:
     """Return slabs as columns.
 
     Parameters
     ----------
-    found : sequence of Slab
+    matter : sequence of Slab
 
     Returns
     -------
@@ -335,11 +335,11 @@ def slab_table(found: Sequence[Slab]) -> SlabTable:
     >>> print(slab_table(slabs)._fields)
     ('slabs', 'log_terms', 'composition')
     """
-    rows = [slab.row for slab in found]
+    rows = [slab.row for slab in matter]
     numbers = np.array([row.numbers for row in rows], dtype=np.float64).reshape(-1, len(NUMBERS)).T
     columns: Columns = dict(zip(NUMBERS, numbers.copy(), strict=True))
-    columns["gap"] = np.array([slab.gap for slab in found], dtype=np.int32)
-    columns["filler"] = np.array([slab.filler for slab in found], dtype=np.uint8)
+    columns["gap"] = np.array([slab.gap for slab in matter], dtype=np.int32)
+    columns["filler"] = np.array([slab.filler for slab in matter], dtype=np.uint8)
     terms = np.concatenate([np.empty(0), *(row.log_terms for row in rows)]).reshape(-1, _core.detector.LOSS_POINTS)
     elements = np.concatenate([np.empty((0, 3)), *(row.elements for row in rows)]).T
     first = np.cumsum([0, *(len(row.elements) for row in rows)]).astype(np.int32)
@@ -409,9 +409,9 @@ def _made(
     detector: Detector, merge: bool, screening: str, foil: str, gaps: bool, matter: bool
 ) -> _core.detector.Detector:
     isa.choose()
-    found = slabs(detector, merge, foil)
-    groups = [slab.shells[0].group for slab in found]
-    table = slab_table(found)
+    all_slabs = slabs(detector, merge, foil)
+    groups = [slab.shells[0].group for slab in all_slabs]
+    table = slab_table(all_slabs)
     if not matter:
         table = without_matter(table)
     return _core.detector.Detector(
@@ -420,7 +420,7 @@ def _made(
         layers=layer_table(detector.layers),
         wires=_placed(detector.drift_chamber) if detector.drift_chamber else wire_table(None),
         screening=getattr(_core.matter.Screening, screening),
-        lattice=hole_table([slab.holes for slab in found], groups, merge) if foil == "lattice" else {},
+        lattice=hole_table([slab.holes for slab in all_slabs], groups, merge) if foil == "lattice" else {},
         gaps=gap_table(detector) if gaps else [],
         field=compiled_field(detector),
         simulated=gaps,
@@ -446,14 +446,14 @@ def compiled_stack(parts: Sequence[tuple[Material, float]], screening: str = "we
 
     """
     isa.choose()
-    position, found = 1.0, []
+    position, matter = 1.0, []
     for material, thickness in parts:
         shell = Shell("stack", material.name, position, position + thickness, ENDLESS, material)
-        found.append(Slab((shell,)))
+        matter.append(Slab((shell,)))
         position += thickness
     return _core.detector.Detector(
         bz=0.0,
-        **slab_table(found)._asdict(),
+        **slab_table(matter)._asdict(),
         layers=layer_table(()),
         wires=wire_table(None),
         screening=getattr(_core.matter.Screening, screening),

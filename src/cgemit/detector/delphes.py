@@ -156,22 +156,22 @@ def _commands(text: str, line: int) -> Iterator[tuple[int, list[tuple[str, bool]
     words: list[tuple[str, bool]] = []
     first = line
     while at <= end:
-        one = text[at] if at < end else "\n"
-        if one in "\n;":
+        character = text[at] if at < end else "\n"
+        if character in "\n;":
             if words:
                 yield first, words
-            words, line, at = [], line + (one == "\n"), at + 1
-        elif one.isspace() or text.startswith("\\\n", at):
-            line, at = line + (one == "\\"), at + 1 + (one == "\\")
-        elif one == "#" and not words:
+            words, line, at = [], line + (character == "\n"), at + 1
+        elif character.isspace() or text.startswith("\\\n", at):
+            line, at = line + (character == "\\"), at + 1 + (character == "\\")
+        elif character == "#" and not words:
             while at < end and text[at] != "\n":
                 skipped = 2 if text[at] == "\\" else 1
                 line, at = line + text.count("\n", at, min(at + skipped, end)), at + skipped
         else:
             first = first if words else line
             stop = _word_end(text, at)
-            inner = one in '{"'
-            words.append((text[at + 1 : stop - 1] if inner else text[at:stop], one == "{"))
+            inner = character in '{"'
+            words.append((text[at + 1 : stop - 1] if inner else text[at:stop], character == "{"))
             line, at = line + text.count("\n", at, stop), stop
 
 
@@ -180,15 +180,15 @@ def _word_end(text: str, at: int) -> int:
     first, depth, end, begin = text[at], 0, len(text), at
     pairs = {"{": "{}", '"': "[]"}.get(first, "[]")
     while at < end:
-        one = text[at]
-        if one == "\\":
+        character = text[at]
+        if character == "\\":
             at += 2
             continue
-        if first == '"' and depth == 0 and one == '"' and at > begin:
+        if first == '"' and depth == 0 and character == '"' and at > begin:
             return at + 1
-        if first not in '{"' and depth == 0 and (one.isspace() or one == ";"):
+        if first not in '{"' and depth == 0 and (character.isspace() or character == ";"):
             return at
-        depth += (one == pairs[0]) - (one == pairs[1])
+        depth += (character == pairs[0]) - (character == pairs[1])
         at += 1
         if first == "{" and depth == 0:
             return at
@@ -211,11 +211,11 @@ def _tables(text: str, source: str, name: str, folder: Path, *, field: bool = Tr
     bz_text = card.value(bz.text, scope).strip() if bz else ""
     bz_number = _number(bz_text)
     if bz_number is None and field:
-        given = f'"{bz_text}"' if bz else "no field"
+        got = f'"{bz_text}"' if bz else "no field"
         where = "in the module TrackCovariance" if card.modules else "beside the geometry"
         expected = f"a line such as: set B{'z' if card.modules else ''} 2.0, {where}, or " * (not plain)
         expected += f"a detector file with the {'file' if plain else 'card'} as base and a table [field]{unread}"
-        problems.append(Problem("B", given, expected))
+        problems.append(Problem("B", got, expected))
     rows, disks = _rows(card, geometry, scope, problems)
     rows, moved = _apart(rows, problems)
     if problems:
@@ -235,31 +235,31 @@ def _tracker(card: _Card, problems: list[Problem]) -> _Scope:
     """Return the variables of the module TrackCovariance that is used; those of the card without one."""
     path = card.variables.get("ExecutionPath")
     used = path.text.split() if path else []
-    found = {name: scope for name, scope in card.modules.items() if name in used} or card.modules
-    if len(found) > 1:
+    scopes = {name: scope for name, scope in card.modules.items() if name in used} or card.modules
+    if len(scopes) > 1:
         expected = "one of them, alone in ExecutionPath"
-        problems.append(Problem("TrackCovariance", f"modules {', '.join(found)}", expected))
-    return next(iter(found.values()), card.variables)
+        problems.append(Problem("TrackCovariance", f"modules {', '.join(scopes)}", expected))
+    return next(iter(scopes.values()), card.variables)
 
 
 def _number(text: str) -> float | None:
     try:
-        number = float(text)
+        value = float(text)
     except ValueError:
         return None
-    return number if math.isfinite(number) else None
+    return value if math.isfinite(value) else None
 
 
 def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem]) -> tuple[list[Row], list[str]]:
     """Return the barrel layers by radius, and the labels of the disks."""
     rows: list[Row] = []
     disks = []
-    for number, line in enumerate(geometry.text.splitlines(), start=geometry.line):
+    for line_number, line in enumerate(geometry.text.splitlines(), start=geometry.line):
         words = card.value(line.split("#")[0].rstrip("; \t"), scope).split()
         if not words:
             continue
-        place = f"{geometry.source} line {number}".lstrip()
-        given = f'"{line.strip()[:60]}"'
+        where = f"{geometry.source} line {line_number}".lstrip()
+        got = f'"{line.strip()[:60]}"'
         try:
             kind, label, numbers = words[0], words[1], [float(word) for word in words[2:]]
             if len(words) != _COLUMNS or kind not in ("1", "2") or not all(map(math.isfinite, numbers)):
@@ -269,7 +269,7 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
             expected = f"{_COLUMNS} columns: 1 or 2, a label, and numbers"
             hint = f"; no value is set for {', '.join(unknown)}" if unknown else ""
             hint += f": add a line such as set {unknown[0][1:]} 1.0" if unknown and unknown[0][0] == "$" else ""
-            problems.append(Problem(place, given, expected + hint))
+            problems.append(Problem(where, got, expected + hint))
             continue
         if kind == "2":
             disks.append(label)
@@ -278,7 +278,7 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
         ends = max(low * _M, -0.5 * _LONGEST), min(high * _M, 0.5 * _LONGEST)
         if ends[0] >= ends[1] or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
             expected = "z from low to high, within 5 m of z = 0, a radius, thickness and radiation length above 0, an "
-            problems.append(Problem(place, given, expected + "efficiency from 0 to 1"))
+            problems.append(Problem(where, got, expected + "efficiency from 0 to 1"))
             continue
         on = [efficiency > 0 and measured >= count for count in (1, 2)]
         sigma = tuple(_M * value if use else 0.0 for value, use in zip((sigma_up, sigma_down), on, strict=True))
@@ -293,20 +293,20 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
 
 def _apart(rows: Sequence[Row], problems: list[Problem]) -> tuple[list[Row], list[str]]:
     """Return rows of different radii at each z, and the labels of those of matter alone put behind a layer for it."""
-    found: list[Row] = []
+    rows_apart: list[Row] = []
     moved = []
     for row in sorted(rows, key=lambda row: (row.radius, not row.views)):
-        before = next((one for one in reversed(found) if share_z(one.ends, row.ends)), None)
+        before = next((one for one in reversed(rows_apart) if share_z(one.ends, row.ends)), None)
         if before is None or row.radius - before.radius >= _ROUNDING:
-            found.append(row)
+            rows_apart.append(row)
         elif row.views:
             given = f"{before.label} and {row.label} at r = {row.radius:g} mm"
             problems.append(Problem("DetectorGeometry", given, "layers that measure at different radii"))
         else:
             behind = before.radius + 0.5 * (before.thickness + row.thickness)
-            found.append(replace(row, radius=behind))
+            rows_apart.append(replace(row, radius=behind))
             moved.append(row.label)
-    return sorted(found, key=lambda row: row.radius), moved
+    return sorted(rows_apart, key=lambda row: row.radius), moved
 
 
 def _neighbours(rows: Sequence[Row]) -> list[tuple[int, int]]:
@@ -322,11 +322,11 @@ def _beside(rows: Sequence[Row]) -> list[float]:
     halves = [0.5 * row.thickness for row in rows]
     for i, k in _neighbours(rows):
         gap = rows[k].radius - rows[i].radius
-        one, other = 0.5 * rows[i].thickness, 0.5 * rows[k].thickness
-        if one + other <= gap:
+        half, other = 0.5 * rows[i].thickness, 0.5 * rows[k].thickness
+        if half + other <= gap:
             continue
         halves[i] = min(halves[i], max(gap - other, 0.5 * gap))
-        halves[k] = min(halves[k], max(gap - one, 0.5 * gap))
+        halves[k] = min(halves[k], max(gap - half, 0.5 * gap))
     return [2 * half for half in halves]
 
 
@@ -368,32 +368,33 @@ def _layers(row: Row, r_in: float, r_out: float) -> Iterator[tuple[str, float, f
     keys = {"sigma_x": f"{x[0]!r} mm"} if x else {}
     parts = v[:1] if x or len(v) < 2 else v  # r phi and V are one layer, two V are two
     width = (r_out - r_in) / max(len(parts), 1)
-    for number, one in enumerate(parts or [None]):
+    for i, view in enumerate(parts or [None]):
         of_v = {}
-        if one is not None:
-            angle = math.copysign(min(abs(one[0]), math.pi / 2), one[0])
-            of_v = {"sigma_v": f"{one[1]!r} mm", "stereo": f"{angle!r} rad"}
-        suffix = "ab"[number] if len(parts) > 1 else ""
-        yield suffix, r_in + (number + 0.5) * width, width, keys | of_v
+        if view is not None:
+            angle = math.copysign(min(abs(view[0]), math.pi / 2), view[0])
+            of_v = {"sigma_v": f"{view[1]!r} mm", "stereo": f"{angle!r} rad"}
+        suffix = "ab"[i] if len(parts) > 1 else ""
+        yield suffix, r_in + (i + 0.5) * width, width, keys | of_v
 
 
-def _material(x0: float, part: float, materials: dict[str, Any]) -> str:
+def _material(x0: float, share: float, materials: dict[str, Any]) -> str:
     """Return the name of a material of this radiation length, mm, and add it to `materials` if it is a new one.
 
-    A row that has only a `part` of its thickness has the material at a density that is higher by as much.
+    A row that has only a `share` of its thickness has the material at a density that is higher by as much.
     """
-    denser = part < 1 - 1e-6
+    denser = share < 1 - 1e-6
     for known in _KNOWN:
         if abs(library()[known].x0 / x0 - 1) < 1e-3:
-            name = f"{known}-{1 / part:g}" if denser else known
+            name = f"{known}-{1 / share:g}" if denser else known
             if denser:
-                one = library()[known]
+                material = library()[known]
                 materials[name] = {
-                    "base": known, "density": f"{one.density / part!r} g/cm3", "x0": f"{one.x0 * part!r} mm",
+                    "base": known, "density": f"{material.density / share!r} g/cm3",
+                    "x0": f"{material.x0 * share!r} mm",
                 }  # fmt: skip
             return name
     gas = x0 > _GAS
-    x0 *= part if denser else 1.0
+    x0 *= share if denser else 1.0
     name = f"X0-{x0:g}mm"
     for element in ("C", "Fe", "W"):  # the lightest that is not denser than a material may be
         density = x0_of_fractions({element: 1.0}, 1.0) / x0  # a radiation length is inverse to the density
@@ -465,9 +466,9 @@ def _written(detector: Contents) -> Iterator[Row]:
 def _parted(rows: Sequence[Row]) -> list[Row]:
     """Return rows by radius with cylinders of gas so thin that they are beside others, with the same matter each."""
     parted, pairs = [], _neighbours(rows)
-    for place, row in enumerate(rows):
+    for i_row, row in enumerate(rows):
         width = row.thickness
-        beside = [rows[i + k - place] for i, k in pairs if place in (i, k)]
+        beside = [rows[i + k - i_row] for i, k in pairs if i_row in (i, k)]
         for other in beside if row.gas else ():
             apart = abs(row.radius - other.radius)
             width = min(width, apart if other.gas else 2 * apart - other.thickness)
@@ -497,9 +498,9 @@ def _row(shells: Sequence[Shell], label: str, views: Sequence[tuple[float, float
     """Return the row of neighbouring shells, with their common thickness and radiation length."""
     thickness = shells[0].thickness if gas else sum(shell.thickness for shell in shells)  # wires fill the gas
     x0 = thickness / sum(shell.x0 for shell in shells)
-    (one, first), (other, second) = (*views, *[(0.0, 0.0)] * (2 - len(views)))
+    (angle, first), (other, second) = (*views, *[(0.0, 0.0)] * (2 - len(views)))
     radius, name = 0.5 * (shells[0].r_in + shells[-1].r_out), re.sub(r"\s+", "-", label)
-    return Row(name, shells[0].ends, radius, thickness, x0, (one, other), (first, second), gas)
+    return Row(name, shells[0].ends, radius, thickness, x0, (angle, other), (first, second), gas)
 
 
 def _line(row: Row) -> str:

@@ -272,15 +272,15 @@ class Detector(Contents):
 @once
 def _groups(detector: Detector) -> tuple[ReadoutGroup, ...]:
     """Return the groups of a detector; see `Detector.groups`."""
-    found: list[tuple[Readout, list[int]]] = []  # a readout from outside the package may have no hash
-    for number, layer in enumerate(detector.layers):
-        numbers = next((numbers for readout, numbers in found if readout == layer.readout), None)
+    by_readout: list[tuple[Readout, list[int]]] = []  # a readout from outside the package may have no hash
+    for layer_number, layer in enumerate(detector.layers):
+        numbers = next((numbers for readout, numbers in by_readout if readout == layer.readout), None)
         if numbers is None:
-            found.append((layer.readout, [number]))
+            by_readout.append((layer.readout, [layer_number]))
         else:
-            numbers.append(number)
-    found = found or [(CgemLayer.usual_readout, [])]
-    return tuple(ReadoutGroup(detector, readout, tuple(numbers)) for readout, numbers in found)
+            numbers.append(layer_number)
+    by_readout = by_readout or [(CgemLayer.usual_readout, [])]
+    return tuple(ReadoutGroup(detector, readout, tuple(numbers)) for readout, numbers in by_readout)
 
 
 @dataclass(frozen=True)
@@ -359,12 +359,12 @@ class ReadoutGroup:
         fill : float
             For the other layers, of which there are no rows: a kernel that reads it makes a mistake, which NaN shows.
         """
-        layers, own = len(self.detector.layers), len(self.numbers)
-        if own == layers:
+        layers, n = len(self.detector.layers), len(self.numbers)
+        if n == layers:
             return values
-        found = np.full((views, layers, values.size // (views * own)), fill)
-        found[:, list(self.numbers)] = values.reshape(views, own, -1)
-        return found.ravel() if values.ndim == 1 else found.reshape(views * layers, *values.shape[1:])
+        filled = np.full((views, layers, values.size // (views * n)), fill)
+        filled[:, list(self.numbers)] = values.reshape(views, n, -1)
+        return filled.ravel() if values.ndim == 1 else filled.reshape(views * layers, *values.shape[1:])
 
 
 def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
@@ -494,10 +494,10 @@ def bounds(detector: Detector, key: str) -> tuple[float, float]:
 def _order(detector: Detector) -> list[str]:
     """Return the parts from inside outward."""
     parts: list[Cylinder | Layer] = [*detector.beam_pipe, *detector.barrels, *detector.walls]
-    found = [(part.r_in, part.label) for part in parts]
+    radii = [(part.r_in, part.label) for part in parts]
     if detector.drift_chamber:
-        found += [(layer.r_mid, str(layer.number)) for layer in detector.drift_chamber.layers]
-    return [label for _, label in sorted(found)]
+        radii += [(layer.r_mid, str(layer.number)) for layer in detector.drift_chamber.layers]
+    return [label for _, label in sorted(radii)]
 
 
 def _edge(allowed: Callable[[float], bool], inside: float, outside: float, whole: bool) -> float:

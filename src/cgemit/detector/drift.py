@@ -100,12 +100,12 @@ def relation_of(layer: WireLayer) -> DriftRelation:
     """
     points = layer.drift_relation
     if layer.drift_velocity:
-        found = DriftRelation(np.array([0.0, layer.drift_velocity]), np.array([0.0, 1.0]))
+        relation = DriftRelation(np.array([0.0, layer.drift_velocity]), np.array([0.0, 1.0]))
     elif points:
-        found = DriftRelation(np.array([one.distance for one in points]), np.array([one.time for one in points]))
+        relation = DriftRelation(np.array([one.distance for one in points]), np.array([one.time for one in points]))
     else:
-        found = BESIII
-    return DriftRelation(found.distance, found.time + layer.t0) if layer.t0 else found
+        relation = BESIII
+    return DriftRelation(relation.distance, relation.time + layer.t0) if layer.t0 else relation
 
 
 class DriftRelations:
@@ -175,15 +175,15 @@ class DriftRelations:
             return value(self._distinct[0], *columns)
         layer = np.asarray(layer, np.int64)
         known = (layer >= 0) & (layer < len(self._place))
-        place = np.where(known, self._place[np.where(known, layer, 0)], -1)
-        if len(wrong := layer[place < 0]):
+        relation_row = np.where(known, self._place[np.where(known, layer, 0)], -1)
+        if len(wrong := layer[relation_row < 0]):
             raise ValueError(f"wire_hits: the detector has no wire layer {wrong[0]}")
         rows = [np.broadcast_to(np.asarray(column, np.float64), layer.shape) for column in columns]
-        found = np.empty(layer.shape)
+        out = np.empty(layer.shape)
         for number, relation in enumerate(self._distinct):
-            mine = place == number
-            found[mine] = value(relation, *(row[mine] for row in rows))
-        return found
+            mine = relation_row == number
+            out[mine] = value(relation, *(row[mine] for row in rows))
+        return out
 
 
 @once
@@ -210,13 +210,13 @@ def read_by(detector: Contents, simulated: Contents, wire_hits: Table) -> Table:
     wire_hits : Table
     """
     chambers = [one.drift_chamber for one in (detector, simulated)]
-    mine, theirs = ({layer.number: layer for layer in one.layers} if one else {} for one in chambers)
+    layers, old_layers = ({layer.number: layer for layer in one.layers} if one else {} for one in chambers)
     drift, sigma = wire_hits["drift"].copy(), wire_hits["sigma"].copy()
-    for number in mine.keys() & theirs.keys():
-        new, old = mine[number], theirs[number]
+    for layer_number in layers.keys() & old_layers.keys():
+        new, old = layers[layer_number], old_layers[layer_number]
         if new is old or (_relation_key(new) == _relation_key(old) and _error_key(new) == _error_key(old)):
             continue
-        rows = wire_hits["layer"] == number
+        rows = wire_hits["layer"] == layer_number
         if _relation_key(new) != _relation_key(old):
             time = wire_hits["drift_time"][rows]
             drift[rows] += relation_of(new).distance_at(time) - relation_of(old).distance_at(time)

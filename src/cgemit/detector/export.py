@@ -49,14 +49,14 @@ from cgemit.units import NATIVE, format_quantity, units_of
 
 def lines(detector: Contents) -> list[str]:
     """Return one line for the field and for each part that measures."""
-    found = [f"field {field_text(detector.field, *extent(detector))}"]
+    lines = [f"field {field_text(detector.field, *extent(detector))}"]
     for group, layers in detector.by_kind():
-        found += [f"{group} {layer.label}: {layer.text()}" for layer in layers]
+        lines += [f"{group} {layer.label}: {layer.text()}" for layer in layers]
     if detector.drift_chamber:
-        found.append(f"drift chamber: {detector.drift_chamber.text()}")
+        lines.append(f"drift chamber: {detector.drift_chamber.text()}")
     if detector.background:
-        found.append("background: " + ", ".join(level.label for level in detector.background))
-    return found + unreachable(detector)
+        lines.append("background: " + ", ".join(level.label for level in detector.background))
+    return lines + unreachable(detector)
 
 
 def summary(detector: Contents) -> str:
@@ -112,7 +112,7 @@ def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
     middle = 0.5 * (slab.r_in + slab.r_out)
     owner = next((layer.label for layer in detector.barrels if layer.r_in < middle < layer.r_out), None)
     names = {"pipe": "beam pipe", "drift": "drift gap", "gas": "chamber gas"}
-    part = names.get(first.group, first.group)
+    group = names.get(first.group, first.group)
     rows = [
         {
             "label": shell.label,
@@ -125,7 +125,7 @@ def _scatterer(detector: Contents, slab: Slab) -> dict[str, Any]:
         for shell in slab.shells
     ]
     return {
-        "part": f"{owner} {part}" if owner else part,
+        "part": f"{owner} {group}" if owner else group,
         "r_in_mm": slab.r_in,
         "r_out_mm": slab.r_out,
         "radius_mm": slab.radius,
@@ -155,12 +155,12 @@ def to_dict(detector: Contents) -> dict[str, Any]:
 
 def relation_of_all(chamber: DriftChamber) -> dict[str, Known]:
     """Return the values of the relation of distance and time that all layers have, unless they are the usual ones."""
-    found = {}
+    overrides = {}
     for name in ("drift_relation", "drift_velocity", "t0"):
         values = {getattr(layer, name) for layer in chamber.layers}
         if len(values) == 1 and values != {default(WireLayer, name)}:
-            found[name] = Known(values.pop())
-    return found
+            overrides[name] = Known(values.pop())
+    return overrides
 
 
 def tables_of(detector: Contents, changed: Container[str] = ()) -> dict[str, Any]:
@@ -191,10 +191,10 @@ def own_materials(detector: Contents) -> list[Material]:
 
 def materials_of(detector: Contents) -> list[Material]:
     """Return every material of a detector."""
-    found = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
+    materials = [detector.air, *(part.material for part in (*detector.beam_pipe, *detector.walls))]
     for _, layers in detector.by_kind():
-        found += [material for layer in layers for material in layer.materials()]
-    return [*found, *(detector.drift_chamber.materials() if detector.drift_chamber else ())]
+        materials += [material for layer in layers for material in layer.materials()]
+    return [*materials, *(detector.drift_chamber.materials() if detector.drift_chamber else ())]
 
 
 def to_toml(detector: Contents) -> str:
@@ -240,12 +240,12 @@ def _table(part: Any) -> dict[str, Any]:
     keys = {name: key for name, key in stated if not key.quiet or getattr(part, name) != default(kind, name)}
     usual = getattr(part, "usual_readout", None)
     keys = {name: key for name, key in keys.items() if key.kind != "readout" or getattr(part, name) != usual}
-    found = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
-    if found.get("sigma_points"):
-        found |= dict.fromkeys(("sigma", "sigma_slope"))
-    if found.get("z_min"):
-        found[kind.short_form[0]] = None
-    return {name: value for name, value in found.items() if value not in (None, {}, "", [])}
+    table = {name: _value(getattr(part, name), key.kind) for name, key in keys.items()}
+    if table.get("sigma_points"):
+        table |= dict.fromkeys(("sigma", "sigma_slope"))
+    if table.get("z_min"):
+        table[kind.short_form[0]] = None
+    return {name: value for name, value in table.items() if value not in (None, {}, "", [])}
 
 
 def _value(value: Any, kind: str) -> Any:
@@ -346,10 +346,10 @@ def _top(complete: bool) -> dict[str, Any]:
     properties = {
         name: {"type": "string", **kinds.get(name, {}), "description": doc} for name, doc in TOP_LEVEL.items()
     }
-    found = {"type": "object", "properties": properties, "additionalProperties": False}
+    schema = {"type": "object", "properties": properties, "additionalProperties": False}
     if complete:
-        found |= {"required": ["field"], "anyOf": [{"required": [one]} for one in (*LAYER_KINDS, "drift_chamber")]}
-    return found
+        schema |= {"required": ["field"], "anyOf": [{"required": [one]} for one in (*LAYER_KINDS, "drift_chamber")]}
+    return schema
 
 
 def _field(complete: bool) -> dict[str, Any]:
@@ -392,14 +392,14 @@ def _layer(kind: type, complete: bool) -> dict[str, Any]:
 def _schema_table(kind: type, complete: bool, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
     keys = file_keys(kind)
     properties = {name: _schema_value(key) for name, key in keys.items()} | dict(more or {})
-    found = {"type": "object", "properties": properties, "additionalProperties": False}
+    schema = {"type": "object", "properties": properties, "additionalProperties": False}
     if not complete:
-        return found
+        return schema
     required = required_of(kind)
     short = getattr(kind, "short_form", ("",))[0]
     if short in required:
-        found["anyOf"] = [{"required": [short]}, {"required": ["z_min", "z_max"]}]
-    return {**found, "required": sorted(required - {short})}
+        schema["anyOf"] = [{"required": [short]}, {"required": ["z_min", "z_max"]}]
+    return {**schema, "required": sorted(required - {short})}
 
 
 _ENDS = ("half_length", "z_min", "z_max")
@@ -419,10 +419,12 @@ def _chamber(complete: bool) -> dict[str, Any]:
         "layers": {"type": "object", "patternProperties": {_WIRE_NUMBER: layer}, "additionalProperties": False},
         "superlayers": _labelled(superlayer) | {"description": "wire layers from a few numbers, from inside, by label"},
     }
-    found = _schema_table(DriftChamber, complete, common | groups)
+    schema = _schema_table(DriftChamber, complete, common | groups)
     ways = [{"required": ["layers"]}, {"required": ["superlayers"]}]
     return (
-        {**found, "oneOf": ways, "dependentRequired": {name: ["superlayers"] for name in _ENDS}} if complete else found
+        {**schema, "oneOf": ways, "dependentRequired": {name: ["superlayers"] for name in _ENDS}}
+        if complete
+        else schema
     )
 
 
@@ -439,9 +441,9 @@ def _schema_value(key: Key) -> dict[str, Any]:
     if key.kind == "cells":
         return {"description": key.doc, "anyOf": [_schema_value(one) for one in CELLS.values()]}
     if key.kind in OF_LISTS:
-        one = _quantity(replace(key, kind=OF_LISTS[key.kind]), limits)
-        rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": one}
-        return {"description": key.doc, "anyOf": [one, rows]}
+        value = _quantity(replace(key, kind=OF_LISTS[key.kind]), limits)
+        rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": value}
+        return {"description": key.doc, "anyOf": [value, rows]}
     if key.kind == "readout":
         return {"description": key.doc, "anyOf": [{"type": "string"}, _schema_readout()]}
     kinds: dict[str, dict[str, Any]] = {
@@ -536,9 +538,9 @@ def _gdml(detector: Contents) -> ElementTree.Element:
         shell = shells[0]
         volumes.append((name, shell.r_in, shell.r_out, shell.ends, materials.of(shells), _x0(shells)))
     for name, r_in, r_out, ends, material, x0 in volumes:
-        about = {"name": f"{name}_solid", "lunit": "mm", "aunit": "deg", "startphi": "0", "deltaphi": "360"}
+        attributes = {"name": f"{name}_solid", "lunit": "mm", "aunit": "deg", "startphi": "0", "deltaphi": "360"}
         size = {"rmin": repr(float(r_in)), "rmax": repr(float(r_out)), "z": repr(float(ends[1] - ends[0]))}
-        ElementTree.SubElement(solids, "tube", about | size)
+        ElementTree.SubElement(solids, "tube", attributes | size)
         _volume(structure, name, material, f"{name}_solid", x0)
     across, along = repr(2 * (radius + _MARGIN)), repr(2 * (length + _MARGIN))
     ElementTree.SubElement(solids, "box", name="world_solid", lunit="mm", x=across, y=across, z=along)
@@ -548,8 +550,8 @@ def _gdml(detector: Contents) -> ElementTree.Element:
         physical = ElementTree.SubElement(world, "physvol", name=f"{name}_placed")
         ElementTree.SubElement(physical, "volumeref", ref=name)
         if middle := 0.5 * (ends[0] + ends[1]):
-            about = {"name": f"{name}_position", "unit": "mm", "x": "0", "y": "0", "z": repr(float(middle))}
-            ElementTree.SubElement(physical, "position", about)
+            attributes = {"name": f"{name}_position", "unit": "mm", "x": "0", "y": "0", "z": repr(float(middle))}
+            ElementTree.SubElement(physical, "position", attributes)
     materials.write()
     setup = ElementTree.SubElement(root, "setup", name="Default", version="1.0")
     ElementTree.SubElement(setup, "world", ref="world")
@@ -605,16 +607,16 @@ class _Materials:
         """Return a material; a mixture has the sum of the densities of its parts."""
         density = sum(part.density for part in parts)
         shares: dict[str, float] = {}
-        for part in parts:
-            for element, share in self._composition(part):
-                shares[element] = shares.get(element, 0.0) + share * part.density / density
+        for material in parts:
+            for element, share in self._composition(material):
+                shares[element] = shares.get(element, 0.0) + share * material.density / density
         gas = all(part.gas for part in parts)
-        made = ElementTree.Element("material", name=name, state="gas" if gas else "solid")
-        ElementTree.SubElement(made, "D", value=repr(density), unit="g/cm3")
+        element_of_mixture = ElementTree.Element("material", name=name, state="gas" if gas else "solid")
+        ElementTree.SubElement(element_of_mixture, "D", value=repr(density), unit="g/cm3")
         total = sum(shares.values())
         for element, share in shares.items():
-            ElementTree.SubElement(made, "fraction", n=repr(share / total), ref=element)
-        return made
+            ElementTree.SubElement(element_of_mixture, "fraction", n=repr(share / total), ref=element)
+        return element_of_mixture
 
     def _composition(self, material: Material) -> list[tuple[str, float]]:
         """Return the elements of a material by mass; one equivalent element where only bulk properties are known."""

@@ -126,10 +126,10 @@ class FieldGrid:
         if self.is_polar:
             return self._around()
         if len(self.axes) == 3:
-            found = self.values
+            values = self.values
             for number in range(3):
-                found = _along(_spline_matrix(self.axes[number].points), found, number)
-            return np.ascontiguousarray(found)
+                values = _along(_spline_matrix(self.axes[number].points), values, number)
+            return np.ascontiguousarray(values)
         r, z = self.axes
         parts = [
             _along(_spline_matrix(r.points, parity), self.values[..., i : i + 1], 0)
@@ -209,7 +209,7 @@ class FieldGrid:
         radius, z : float, mm
         """
         axes, values = [], self.values
-        for number, axis in enumerate(self.axes):
+        for i, axis in enumerate(self.axes):
             reach = z if axis.name == "z" else radius
             inside = np.flatnonzero(np.abs(axis.values) < reach + axis.step)
             if axis.name == "phi" or len(inside) < _FEWEST:
@@ -217,7 +217,7 @@ class FieldGrid:
                 continue
             first, last = int(inside[0]), int(inside[-1])
             axes.append(Axis(axis.name, axis.first + first * axis.step, axis.step, last - first + 1))
-            values = np.take(values, range(first, last + 1), axis=number)
+            values = np.take(values, range(first, last + 1), axis=i)
         return FieldGrid(tuple(axes), values, self.mirrored)
 
     def largest(self) -> float:
@@ -288,10 +288,10 @@ def checked_grid(columns: Columns, problems: list[Problem], mirror: Sequence[str
         if name not in columns:
             wanted = ", ".join((*axes, *components))
             problems.append(Problem(name, "nothing", f"an array {name}; a map has {wanted}"))
-    found = [_axis(name, column, problems) for name in axes if (column := columns.get(name))]
-    given = [column.values for name in axes if (column := columns.get(name))]
-    known = len(given) == len(axes) and all(values.ndim == 1 and len(values) >= _FEWEST for values in given)
-    shape = tuple(map(len, given)) if known else None  # uneven axes have a length, too
+    axes_of = [_axis(name, column, problems) for name in axes if (column := columns.get(name))]
+    spans = [column.values for name in axes if (column := columns.get(name))]
+    known = len(spans) == len(axes) and all(values.ndim == 1 and len(values) >= _FEWEST for values in spans)
+    shape = tuple(map(len, spans)) if known else None  # uneven axes have a length, too
     if shape is not None and math.prod(shape) > _MOST_POINTS:
         problems.append(Problem("", f"a grid of {math.prod(shape)} points", f"at most {_MOST_POINTS}"))
     for name in components:
@@ -301,20 +301,20 @@ def checked_grid(columns: Columns, problems: list[Problem], mirror: Sequence[str
     if axes == CYLINDER[0] and r and br and bz and br.values.shape == bz.values.shape == shape and _from_0(r.values):
         _check_beam_line(br, bz, problems)
     usable = [column.values for name in components if (column := columns.get(name))]
-    _check_mirror(mirror, axes, found, problems)
+    _check_mirror(mirror, axes, axes_of, problems)
     if problems:
         return None
     values = np.stack(usable, axis=-1)
     if "phi" in axes:
-        (phi,) = (axis for axis in found if axis and axis.name == "phi")
+        (phi,) = (axis for axis in axes_of if axis and axis.name == "phi")
         values = _turned(values, components, phi, problems)
         components = POLAR[1]
-    grid = FieldGrid(tuple(axis for axis in found if axis), values)
+    grid = FieldGrid(tuple(axis for axis in axes_of if axis), values)
     return None if problems else _completed(grid, components, problems, named=mirror is not None)
 
 
 def _check_mirror(
-    mirror: Sequence[str] | None, axes: tuple[str, ...], found: Sequence[Axis | None], problems: list[Problem]
+    mirror: Sequence[str] | None, axes: tuple[str, ...], grid_axes: Sequence[Axis | None], problems: list[Problem]
 ) -> None:
     """Note axes to mirror that a map has not, or of which it has both sides, and halves that are not to be mirrored."""
     if mirror is None:
@@ -322,14 +322,14 @@ def _check_mirror(
     if unknown := [name for name in mirror if name not in axes or name not in MIRRORS]:
         known = ", ".join(name for name in axes if name in MIRRORS)
         problems.append(Problem("mirror", ", ".join(unknown), f"none but {known}, axes of the map"))
-    for axis in found:
+    for axis in grid_axes:
         if axis is None or axis.name not in MIRRORS:
             continue
-        given = f"{axis.first:g} to {axis.last:g} mm"
+        got = f"{axis.first:g} to {axis.last:g} mm"
         if axis.name in mirror and not _is_half(axis):
-            problems.append(Problem("mirror", f"{axis.name}, which goes from {given}", "an axis with one side of 0"))
+            problems.append(Problem("mirror", f"{axis.name}, which goes from {got}", "an axis with one side of 0"))
         elif axis.name not in mirror and _is_half(axis):
-            problems.append(Problem(axis.name, given, f"both sides of 0, or {axis.name} in mirror"))
+            problems.append(Problem(axis.name, got, f"both sides of 0, or {axis.name} in mirror"))
 
 
 def _is_half(axis: Axis) -> bool:
@@ -370,28 +370,28 @@ def _completed(
     """
     axes, values, mirrored = list(grid.axes), grid.values, []
     largest = grid.largest()
-    for number, axis in enumerate(axes):
+    for i, axis in enumerate(axes):
         if axis.name not in MIRRORS or not _is_half(axis):
             continue
         odd = np.array([(name == f"b{axis.name}") != (axis.name == "z") for name in components])
         from_0 = abs(axis.first) <= _UNEVEN * axis.step
-        middle = np.abs(np.take(grid.values, 0 if from_0 else -1, axis=number)).reshape(-1, len(components))
+        middle = np.abs(np.take(grid.values, 0 if from_0 else -1, axis=i)).reshape(-1, len(components))
         for name, value in zip(components, middle.max(axis=0), strict=True):
             if odd[components.index(name)] and value > (_STATED if named else _ON_AXIS) * largest:
                 expected = f"0 there, or a map on both sides of {axis.name} = 0: half of it is completed by symmetry"
                 hint = "" if named else f"mirror = {axis.name!r} allows {_STATED * largest:.2g} T"
                 problems.append(Problem(name, f"up to {value:g} T at {axis.name} = 0", expected, hint))
         values = values.copy()
-        np.moveaxis(values, number, 0)[0 if from_0 else -1][..., odd] = 0
-        other = np.flip(values, axis=number) * np.where(odd, -1.0, 1.0)
-        halves = (np.delete(other, -1, axis=number), values) if from_0 else (values, np.delete(other, 0, axis=number))
+        np.moveaxis(values, i, 0)[0 if from_0 else -1][..., odd] = 0
+        other = np.flip(values, axis=i) * np.where(odd, -1.0, 1.0)
+        halves = (np.delete(other, -1, axis=i), values) if from_0 else (values, np.delete(other, 0, axis=i))
         if math.prod(values.shape[:-1]) * 2 > _MOST_POINTS:
             given = f"a grid of more than {_MOST_POINTS} points with its mirror images"
             problems.append(Problem("", given, f"at most {_MOST_POINTS}"))
             return None
-        values = np.concatenate(halves, axis=number)
+        values = np.concatenate(halves, axis=i)
         reach = axis.step * (axis.points - 1)
-        axes[number] = Axis(axis.name, -reach, axis.step, 2 * axis.points - 1)
+        axes[i] = Axis(axis.name, -reach, axis.step, 2 * axis.points - 1)
         mirrored.append(axis.name)
     return None if problems else FieldGrid(tuple(axes), np.ascontiguousarray(values), tuple(mirrored))
 

@@ -183,16 +183,16 @@ def _base_of(chain: list[Source], base: object, problems: list[Problem], read_ca
         problems.append(Problem("base", repr(base)[:80], "the name of a preset or of a detector file"))
         return None
     try:
-        found = open_source(base, chain[-1].folder, read_card)
+        source = open_source(base, chain[-1].folder, read_card)
     except DetectorError as error:
         for problem in error.problems:
             given = f"{problem.path}: {problem.given}" if problem.path else problem.given
             problems.append(problem._replace(path="base", given=given))
         return None
-    if any(_place(found) == _place(link) for link in chain) or len(chain) > _MOST_BASES:
+    if any(_place(source) == _place(link) for link in chain) or len(chain) > _MOST_BASES:
         problems.append(Problem("base", _quoted(base), "a base that does not lead back to the file itself"))
         return None
-    return found
+    return source
 
 
 _MOST_BASES = 50
@@ -267,10 +267,10 @@ def map_path(file: str) -> Path:
 
 
 def _field_of(name: str, tables: dict[str, Any], folder: Path | None) -> dict[str, Any]:
-    found = place_map(tables, folder).get("field")
-    if not isinstance(found, Mapping):
+    field = place_map(tables, folder).get("field")
+    if not isinstance(field, Mapping):
         raise DetectorError(name, [Problem("field", "nothing", "a table [field]")])
-    return dict(found)
+    return dict(field)
 
 
 _HEADER = re.compile(r"\s*(\w+)\s*\[(.*)\]\s*")
@@ -315,11 +315,11 @@ def read_field_map(path: str | Path, columns: str = "", mirror: str | Sequence[s
     path = Path(path)
     problems: list[Problem] = []
     if columns:
-        found = _read_text(path, columns, problems)
+        raw = _read_text(path, columns, problems)
     else:
-        found = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix, _no_map)(path, problems)
+        raw = {".npz": _read_npz, ".csv": _read_csv}.get(path.suffix, _no_map)(path, problems)
     mirrored = (mirror,) if isinstance(mirror, str) else mirror
-    grid = checked_grid(found, problems, mirrored) if found is not None else None
+    grid = checked_grid(raw, problems, mirrored) if raw is not None else None
     if grid is None or problems:
         raise DetectorError(str(path), problems)
     return grid
@@ -412,26 +412,26 @@ def _check_unit(unit: object, dimension: str, path: str, problems: list[Problem]
 def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
     """Return the arrays of a file in mm and T."""
     try:
-        found = read_npz(path)
+        arrays = read_npz(path)
     except (OSError, ValueError) as error:
         problems.append(Problem("", str(error), "a .npz file of arrays"))
         return None
-    dimensions = _dimensions(*names_in(found))
+    dimensions = _dimensions(*names_in(arrays))
     units = {dimension: _UNITS[dimension] for dimension in dimensions.values()}
     # Names that no map has are noted with the grid.
-    columns: Columns = dict.fromkeys(sorted(found.keys() - {*dimensions, *units.values()}))
+    columns: Columns = dict.fromkeys(sorted(arrays.keys() - {*dimensions, *units.values()}))
     for dimension, unit in units.items():
         names = [name for name, kind in dimensions.items() if kind == dimension]
-        if unit in found:
-            _check_unit(found[unit], dimension, unit, problems)
+        if unit in arrays:
+            _check_unit(arrays[unit], dimension, unit, problems)
         else:
             problems.append(Problem(unit, "nothing", f"the unit of {', '.join(names)}, as text"))
-        for name in filter(found.__contains__, names):
-            if np.issubdtype(found[name].dtype, np.number) and not np.iscomplexobj(found[name]):
-                columns[name] = _scaled(found[name], found.get(unit, ""), dimension)
+        for name in filter(arrays.__contains__, names):
+            if np.issubdtype(arrays[name].dtype, np.number) and not np.iscomplexobj(arrays[name]):
+                columns[name] = _scaled(arrays[name], arrays.get(unit, ""), dimension)
             else:
                 columns[name] = None
-                problems.append(Problem(name, f"an array of {found[name].dtype}", "numbers"))
+                problems.append(Problem(name, f"an array of {arrays[name].dtype}", "numbers"))
     return columns
 
 
@@ -470,10 +470,10 @@ def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
 def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) -> Columns:
     """Return the columns of a table by its header; a column ``-`` is not read."""
     matches = [_HEADER.fullmatch(name) for name in header]
-    given = {match[1]: match[2] for match in matches if match}
-    axes, components = names_in(given)
+    units = {match[1]: match[2] for match in matches if match}
+    axes, components = names_in(units)
     dimensions = _dimensions(axes, components)
-    missing = [name for name in dimensions if name not in given]
+    missing = [name for name in dimensions if name not in units]
     if missing:
         text = f"columns {', '.join(header) or 'none'}"
         wanted = ", ".join(f"{name}[{NATIVE[kind]}]" for name, kind in dimensions.items())
@@ -483,16 +483,16 @@ def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) ->
     if unread and not missing:
         expected = f"only {', '.join(dimensions)}"
         problems.append(Problem("header", f"columns {', '.join(unread)} that are not read", expected))
-    usable = [name for name in dimensions if name in given]
+    usable = [name for name in dimensions if name in units]
     for name in usable:
-        _check_unit(given[name], dimensions[name], f"header {name}", problems)
+        _check_unit(units[name], dimensions[name], f"header {name}", problems)
     columns: Columns = dict.fromkeys(dimensions)
     table = _numbers(rows, len(header), problems, any_width=bool(missing))
     if table is None:
         return columns
     places = {match[1]: place for place, match in enumerate(matches) if match}
     for name in usable:
-        columns[name] = _scaled(table[:, places[name]], given[name], dimensions[name])
+        columns[name] = _scaled(table[:, places[name]], units[name], dimensions[name])
     return _on_grid(columns, axes, components, problems)
 
 
@@ -512,15 +512,15 @@ def _numbers(rows: list[list[str]], width: int, problems: list[Problem], *, any_
 
 def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...], problems: list[Problem]) -> Columns:
     """Sort the rows of a table onto the grid that its axes span."""
-    found = {name: columns[name] for name in axes}
+    on_axes = {name: columns[name] for name in axes}
     flat: Columns = {name: columns[name] for name in components}
-    given = {name: column for name, column in found.items() if column}
-    if len(given) < len(axes):
+    known = {name: column for name, column in on_axes.items() if column}
+    if len(known) < len(axes):
         return dict.fromkeys(axes) | flat
-    spans = [np.unique(column.values) for column in given.values()]
+    spans = [np.unique(column.values) for column in known.values()]
     shape = tuple(map(len, spans))
-    indices = (np.searchsorted(span, c.values) for span, c in zip(spans, given.values(), strict=True))
-    rows = len(next(iter(given.values())).values)
+    indices = (np.searchsorted(span, c.values) for span, c in zip(spans, known.values(), strict=True))
+    rows = len(next(iter(known.values())).values)
     whole = rows == math.prod(shape)  # in whole numbers: the product may be too large for an array
     places = np.ravel_multi_index(tuple(indices), shape) if whole and rows else np.empty(0, dtype=np.intp)
     if not whole or len(np.unique(places)) != rows:
@@ -529,7 +529,7 @@ def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...
         problems.append(Problem("rows", f"{rows} rows", expected))
         return dict.fromkeys(axes) | flat
     order = np.argsort(places)
-    sorted_axes = {name: Column(span, given[name].unit) for name, span in zip(axes, spans, strict=True)}
+    sorted_axes = {name: Column(span, known[name].unit) for name, span in zip(axes, spans, strict=True)}
     return sorted_axes | {
         name: column and Column(column.values[order].reshape(shape), column.unit) for name, column in flat.items()
     }

@@ -223,13 +223,13 @@ def cluster_shares(name: str) -> ClusterShares:
     log_means = np.linspace(math.log(0.5), math.log(400.0), 41)
     squares, electrons = np.zeros((len(log_means), _MOST)), np.zeros((len(log_means), _PARTS))
     parts = (np.arange(_PARTS) + 0.5) / _PARTS
-    for row, (mean, own) in enumerate(zip(np.exp(log_means), squares, strict=True)):
+    for row, (mean, square) in enumerate(zip(np.exp(log_means), squares, strict=True)):
         chance = np.zeros(_MOST)
         chance[0] = math.exp(-mean)
         for n in range(1, _MOST):
             chance[n] = mean / n * (size[1 : n + 1] * single[1 : n + 1]) @ chance[n - 1 :: -1][:n]
         summed = mean * np.convolve(size**2 * single, chance)[:_MOST]
-        own[1:] = np.clip(summed[1:] / np.maximum(chance[1:], 1e-300) / size[1:] ** 2, 1 / size[1:], 1.0)
+        square[1:] = np.clip(summed[1:] / np.maximum(chance[1:], 1e-300) / size[1:] ** 2, 1 / size[1:], 1.0)
         cumulative = np.cumsum(chance[1:])  # crossings without electrons have no cluster
         electrons[row] = np.interp(parts * (1 - chance[0]), cumulative, size[1:], left=1.0)
     return ClusterShares(log_means, squares, electrons)
@@ -362,15 +362,15 @@ _ELECTRON_COLUMNS = ("stopping", "path", "cut", "screening", "soft", "per_moment
 
 def _groups(shells: Sequence[Shell], gap: int) -> list[list[Shell]]:
     """Return the sub-layers in groups of uniform matter for electrons: solids side by side far from the gap."""
-    found: list[list[Shell]] = []
+    groups: list[list[Shell]] = []
     dense = [depth > EVEN_DEPTH and shell.material.density > EVEN_DENSITY for shell, depth in
              zip(shells, _depths([[shell] for shell in shells], gap), strict=True)]  # fmt: skip
     for i, shell in enumerate(shells):
         if i > 0 and dense[i - 1] and dense[i]:
-            found[-1].append(shell)
+            groups[-1].append(shell)
         else:
-            found.append([shell])
-    return found
+            groups.append([shell])
+    return groups
 
 
 def _depths(groups: Sequence[Sequence[Shell]], gap: int) -> list[float]:
@@ -494,10 +494,10 @@ def table(gas: str) -> dict[float, Floats]:
     """
     text = (resources.files("cgemit.detector") / "gases" / f"transport-{gas}.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
-    found: dict[float, list[list[float]]] = {}
+    rows_of: dict[float, list[list[float]]] = {}
     for row in rows:
-        found.setdefault(float(row["b_field"]), []).append([float(row[name]) for name in ("e_field", *_COLUMNS)])
-    return {b: np.array(sorted(values)) for b, values in found.items()}
+        rows_of.setdefault(float(row["b_field"]), []).append([float(row[name]) for name in ("e_field", *_COLUMNS)])
+    return {b: np.array(sorted(values)) for b, values in rows_of.items()}
 
 
 @lru_cache(maxsize=256)
@@ -594,11 +594,11 @@ class GasFile:
             if not grid[0] - 1e-6 * grid[-1] <= value <= grid[-1] * (1 + 1e-6):  # the file has eight digits
                 problems.note(name, f"{value:g} {unit}", f"{grid[0]:g} to {grid[-1]:g} {unit}, as in the file")
         problems.report("electron transport")
-        found = []
+        at_b = []
         for values in (self.velocity, self.tan_lorentz, self.sigma_t, self.sigma_l):
             at_e = [float(np.interp(e_field, self.e_field, column)) for column in values.T]
-            found.append(float(np.interp(b, self.b_field, at_e)))
-        velocity, tan_lorentz, sigma_t, sigma_l = found
+            at_b.append(float(np.interp(b, self.b_field, at_e)))
+        velocity, tan_lorentz, sigma_t, sigma_l = at_b
         return Transport(velocity, tan_lorentz, sigma_t, sigma_t, sigma_l)
 
 
@@ -630,17 +630,17 @@ def read_gas_file(path: str | Path) -> GasFile:
     'of 20 um/ns'
     """
     text, problems = read_text(Path(path), _LARGEST_GAS_FILE), Problems()
-    head, found, tail = text.partition(_TABLES)
+    head, marker, tail = text.partition(_TABLES)
     body, *rest = _FOOTER.split(tail, maxsplit=1)
     tail = "".join(rest)
     size = re.search(r"Dimension\s*:\s*([TF])((?:\s+\d+){5})", head)
     pressure = re.search(rf"PGAS\s*[:=]\s*({_NUMBER.pattern})", tail)
-    for name, one, expected in (
-        (_TABLES, found, "this line, as in gas files of Garfield"),
+    for name, text_there, expected in (
+        (_TABLES, marker, "this line, as in gas files of Garfield"),
         ("Dimension", size, "T or F and five whole numbers"),
         ("PGAS", pressure, "the pressure, behind the tables"),
     ):
-        if not one:
+        if not text_there:
             problems.note(name, "nothing", expected)
     problems.report(str(path))
     assert size
@@ -743,14 +743,14 @@ def layer_drift(layer: CgemLayer, bz: float) -> LayerDrift:
         expected = 'a gas with ionization = "ar-ic4h10-90-10" or "ar-co2-70-30"'
         refuse("electron transport", "gas", f"{layer.gas.name} without a table of electron transport", expected)
     problems = Problems()
-    found = []
+    transports = []
     for name in ("drift_field", "transfer_field", "induction_field"):
         try:
-            found.append(transport(gas, getattr(layer, name), bz))
+            transports.append(transport(gas, getattr(layer, name), bz))
         except ValueError as error:
             problems.take(error, name)
     problems.report("electron transport")
-    drift, transfer, induction = found
+    drift, transfer, induction = transports
     gaps = _gaps_behind(layer, transfer, induction)
     sign = math.copysign(1.0, bz)
     tangent = sign * (drift.tan_lorentz if layer.lorentz_angle is None else math.tan(layer.lorentz_angle))
@@ -801,14 +801,14 @@ def drift_columns(detector: Detector, cgem: tuple[int, ...] | None = None) -> di
     ValueError
         Listing the problems of all layers.
     """
-    problems, found = Problems(), []
+    problems, drifts = Problems(), []
     for layer in cgem_layers(detector, cgem):
         try:
-            found.append(layer_drift(layer, detector.field.bz))
+            drifts.append(layer_drift(layer, detector.field.bz))
         except ValueError as error:
             problems.take(error, f"cgem.{layer.label}")
     problems.report(f"{detector.name}: no electron transport for the readout")
-    columns = np.array(found, np.float64).reshape(-1, len(LayerDrift._fields)).T
+    columns = np.array(drifts, np.float64).reshape(-1, len(LayerDrift._fields)).T
     return dict(zip(LayerDrift._fields, columns.copy(), strict=True))
 
 

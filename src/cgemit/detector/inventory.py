@@ -230,11 +230,11 @@ def _inside(slope: Floats, ends: tuple[float, float], low: float, high: float) -
 
 def _crossed(detector: Detector, slope: Floats) -> dict[str, Floats]:
     """Return how many layers of each kind straight lines z = slope r cross."""
-    found: dict[str, Floats] = {}
+    crossings: dict[str, Floats] = {}
     for layer in detector.layers:
         name = "cgem" if isinstance(layer, CgemLayer) else "layers"
         z = slope * layer.r_mid
-        found[name] = found.get(name, np.zeros(len(slope))) + ((z > layer.ends[0]) & (z < layer.ends[1]))
+        crossings[name] = crossings.get(name, np.zeros(len(slope))) + ((z > layer.ends[0]) & (z < layer.ends[1]))
     if detector.drift_chamber:
         wires = np.zeros(len(slope))
         for wire in detector.drift_chamber.layers:
@@ -245,8 +245,8 @@ def _crossed(detector: Detector, slope: Floats) -> dict[str, Floats]:
             with np.errstate(invalid="ignore", divide="ignore"):
                 z = slope * (np.sqrt(b**2 + a * rest) - b) / a
             wires += (z > wire.ends[0]) & (z < wire.ends[1])
-        found["wires"] = wires
-    return found
+        crossings["wires"] = wires
+    return crossings
 
 
 def outer_radius(detector: Detector) -> float:

@@ -106,9 +106,9 @@ class Key(Quantity):
     quiet: bool = False
     derived: bool = False
 
-    def value(self, given: Any) -> float:
+    def value(self, raw: Any) -> float:
         """Return a value in native units; files must name the unit."""
-        return parse_quantity(given, self.kind)
+        return parse_quantity(raw, self.kind)
 
     def expected(self) -> str:
         """Return the allowed values as text."""
@@ -188,9 +188,9 @@ def keys_of(kind: Any) -> dict[str, Key]:
     if issubclass(kind, SettingsData):
         return {name: _key_of(one) for name, one in kinds_of(kind).items()}
     stated: dict[str, None] = {}
-    for one in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
-        fields: Any = one.__dict__["__dataclass_fields__"]
-        stated |= dict.fromkeys(name for name in one.__annotations__ if "key" in fields[name].metadata)
+    for base in filter(dataclasses.is_dataclass, reversed(kind.__mro__)):
+        fields: Any = base.__dict__["__dataclass_fields__"]
+        stated |= dict.fromkeys(name for name in base.__annotations__ if "key" in fields[name].metadata)
     found = {f.name: f.metadata["key"] for f in dataclasses.fields(kind) if f.name in stated}
     return {name: found[name] for name in stated}
 
@@ -203,9 +203,9 @@ def file_keys(kind: Any) -> dict[str, Key]:
 
 def _key_of(kind: Any) -> Key:
     """Return the key of a setting: a quantity, or what only its class can check."""
-    found = constraint_of(kind)
-    if isinstance(found, Quantity):
-        return Key(found.kind, found.low, found.high, found.above, found.below)
+    constraint = constraint_of(kind)
+    if isinstance(constraint, Quantity):
+        return Key(constraint.kind, constraint.low, constraint.high, constraint.above, constraint.below)
     return Key("setting", doc=expected(kind))
 
 

@@ -208,10 +208,10 @@ def excitation_of_fractions(fractions: dict[str, float]) -> float:
     particles through matter", "Energy loss in mixtures and compounds").
     """
     total, weight = 0.0, 0.0
-    for name, part in fractions.items():
+    for name, fraction in fractions.items():
         element = elements()[name]
         compound_carbon = name == "C" and len(fractions) > 1
-        electrons = part * element.z / element.a
+        electrons = fraction * element.z / element.a
         total += electrons * math.log(CARBON_IN_COMPOUNDS if compound_carbon else element.excitation)
         weight += electrons
     return math.exp(total / weight) * 1e-9

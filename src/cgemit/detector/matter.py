@@ -90,9 +90,9 @@ def slabs(detector: Contents, merge: bool = True, foil: str = "effective") -> li
     solid = [*_cylinders("pipe", detector.beam_pipe, merge), *_cylinders("wall", detector.walls, merge)]
     lattice, foils = foil == "lattice", 0
     for number, layer in enumerate(detector.layers):
-        made = layer.slabs(number, merge, lattice, foils)
-        foils += len({slab.holes.foil for slab in made if slab.holes})
-        solid += made
+        of_layer = layer.slabs(number, merge, lattice, foils)
+        foils += len({slab.holes.foil for slab in of_layer if slab.holes})
+        solid += of_layer
     for layer in detector.barrels:
         solid += () if layer.views else layer.slabs(-1, merge, lattice, 0)
     solid.sort(key=lambda slab: slab.r_in)
@@ -123,30 +123,30 @@ def _fillers(detector: Contents, solid: Sequence[Slab], merge: bool) -> list[Sla
     """Return air between the parts, and the gas of the drift chamber around and between its wire layers."""
     chamber = detector.drift_chamber
     first_wire = chamber.layers[0].r_mid if chamber else math.inf
-    found = _airs([slab for slab in solid if slab.r_in < first_wire], detector.air)
+    fillers = _airs([slab for slab in solid if slab.r_in < first_wire], detector.air)
     if chamber:
         # Parts beside the chamber along the beam do not bound its gas. Without a part inside, the chamber begins at
         # its first wire layer, or with the cells of wires that count.
         low, high = zip(*(layer.ends for layer in chamber.layers), strict=True)
-        about = [slab for slab in solid if share_z(slab.ends, (min(low), max(high)))]
-        inside = [slab for slab in about if slab.r_in < first_wire]
+        beside = [slab for slab in solid if share_z(slab.ends, (min(low), max(high)))]
+        inside = [slab for slab in beside if slab.r_in < first_wire]
         gas = _gas(chamber)
         half_cell = math.pi * first_wire / chamber.layers[0].cells if gas.layers[0].wires else 0.0
         start = inside[-1].r_out if inside else first_wire - half_cell
-        walls = tuple((slab.r_in, slab.r_out) for slab in about if slab.r_in > start - TOUCH)
-        found += _chamber_gas(gas, start, walls, merge)
-        found += _behind(detector, chamber, solid)
-    return found
+        walls = tuple((slab.r_in, slab.r_out) for slab in beside if slab.r_in > start - TOUCH)
+        fillers += _chamber_gas(gas, start, walls, merge)
+        fillers += _behind(detector, chamber, solid)
+    return fillers
 
 
 def _airs(solid: Sequence[Slab], air: Material) -> list[Slab]:
     """Return the air between parts."""
-    found, end = [], math.inf
+    airs, end = [], math.inf
     for slab in solid:
         if slab.r_in - end > TOUCH:
-            found.append(_air(end, slab.r_in, air))
+            airs.append(_air(end, slab.r_in, air))
         end = slab.r_out if end == math.inf else max(end, slab.r_out)
-    return found
+    return airs
 
 
 def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) -> list[Slab]:
@@ -154,12 +154,12 @@ def _behind(detector: Contents, chamber: DriftChamber, solid: Sequence[Slab]) ->
     last = chamber.layers[-1]
     outside = [slab for slab in solid if slab.r_in > last.r_mid - TOUCH]
     behind = next((slab for slab in outside if share_z(slab.ends, last.ends)), None)
-    found = []
+    outer = []
     if behind and behind.r_in - last.r_mid > TOUCH:
         text = f"gas behind layer {last.number}"
         shell = Shell("gas", text, last.r_mid, behind.r_in, last.ends, last.gas or chamber.gas)
-        found.append(Slab((shell,)))
-    return found + _airs(outside, detector.air)
+        outer.append(Slab((shell,)))
+    return outer + _airs(outside, detector.air)
 
 
 @lru_cache(maxsize=256)
@@ -210,15 +210,15 @@ def row_shells(chamber: DriftChamber, layer: WireLayer, width: float) -> list[Sh
 
 def _lumps(gas: Sequence[Slab]) -> list[Slab]:
     """Join neighbouring lumps of gas that end at about the same z, up to a certain depth."""
-    found: list[Slab] = []
+    lumps: list[Slab] = []
     for slab in gas:
-        last = found[-1] if found else None
+        last = lumps[-1] if lumps else None
         touches = last is not None and slab.r_in - last.r_out < TOUCH
         if last is not None and touches and slab.r_out - last.r_in < _LUMP and _same_end(last, slab):
-            found[-1] = Slab((*last.shells, *slab.shells))
+            lumps[-1] = Slab((*last.shells, *slab.shells))
         else:
-            found.append(slab)
-    return found
+            lumps.append(slab)
+    return lumps
 
 
 def _same_end(a: Slab, b: Slab) -> bool:
@@ -233,19 +233,19 @@ def _chamber_gas(gas: _Gas, start: float, walls: tuple[tuple[float, float], ...]
 
     Where the end plate steps outward from one layer to the next, the lump reaches to the farther plate.
     """
-    found = []
+    gas_slabs = []
     before = gas.layers[0].ends
     for layer in gas.layers:
-        number, radius, ends = layer.number, layer.r_mid, layer.ends
+        layer_number, radius, ends = layer.number, layer.r_mid, layer.ends
         here = [wall for wall in walls if start - TOUCH < wall[0] < radius]
         for r_in, r_out in _between(start, radius, here):
-            text = f"gas before layer {number}"
+            text = f"gas before layer {layer_number}"
             reach = min(before[0], ends[0]), max(before[1], ends[1])
             shell = Shell("gas", text, r_in, r_out, reach, layer.material)
             share = (r_out - r_in) / (radius - start)
-            found.append(Slab((shell, *_wires(layer, shell, share))))
+            gas_slabs.append(Slab((shell, *_wires(layer, shell, share))))
         start, before = radius, ends
-    return tuple(_lumps(found) if merge else found)
+    return tuple(_lumps(gas_slabs) if merge else gas_slabs)
 
 
 def _between(start: float, end: float, walls: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:

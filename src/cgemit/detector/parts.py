@@ -190,9 +190,9 @@ class Contents(Part):
 
     def labelled(self) -> dict[str, dict[str, Part]]:
         """Return the parts with a label, by their table in a detector file."""
-        found: dict[str, Iterable[Any]] = {"beam_pipe": self.beam_pipe, **dict(self.by_kind())}
-        found |= {"walls": self.walls, "background": self.background}
-        return {name: {part.label: part for part in parts} for name, parts in found.items()}
+        groups: dict[str, Iterable[Any]] = {"beam_pipe": self.beam_pipe, **dict(self.by_kind())}
+        groups |= {"walls": self.walls, "background": self.background}
+        return {name: {part.label: part for part in parts} for name, parts in groups.items()}
 
 
 @once

@@ -242,16 +242,16 @@ class Reader:
         if not isinstance(raw, list) or len(raw) > MOST_POINTS:
             self.note(path, shown(raw), key.expected())
             return ()
-        found = []
+        wires = []
         for i, row in enumerate(raw):
             if isinstance(row, CellWire):  # read before
-                found += self._known((row,))
+                wires += self._known((row,))
                 continue
             wire = CellWire(**self.table(f"{path}[{i}]", row, CellWire))
             if 2 * wire.wall > wire.diameter:
                 self.note(f"{path}[{i}].wall", f"{wire.wall:g} mm", f"at most half of diameter = {wire.diameter:g} mm")
-            found.append(wire)
-        return tuple(found)
+            wires.append(wire)
+        return tuple(wires)
 
     def _relation(self, path: str, raw: object, key: Key) -> Any:
         points = self._points(path, raw, key, DriftPoint)
@@ -267,10 +267,10 @@ class Reader:
         return points
 
     def _mirrors(self, path: str, raw: object, key: Key) -> Any:
-        given = raw if isinstance(raw, list) else [raw]
-        if not all(isinstance(name, str) and name in MIRRORS for name in given) or len(set(given)) < len(given):
+        names = raw if isinstance(raw, list) else [raw]
+        if not all(isinstance(name, str) and name in MIRRORS for name in names) or len(set(names)) < len(names):
             return self.note(path, shown(raw), key.expected())
-        return tuple(sorted(given))
+        return tuple(sorted(names))
 
     def _points(self, path: str, raw: object, key: Key, kind: type) -> Any:
         if not isinstance(raw, list) or not 0 < len(raw) <= MOST_POINTS:
@@ -322,11 +322,11 @@ class Reader:
                 return self.note(path, shown(raw), key.expected())
         if not isinstance(raw, Mapping):
             return self.note(path, shown(raw), key.expected())
-        for name, part in raw.items():
+        for name, fraction in raw.items():
             if name not in elements():
                 return self.note(f"{path}.{name}", "an unknown element", "one of " + ", ".join(elements()))
-            if not isinstance(part, int | float) or isinstance(part, bool) or not 0 < part <= 1:
-                return self.note(f"{path}.{name}", shown(part), "a mass fraction between 0 and 1")
+            if not isinstance(fraction, int | float) or isinstance(fraction, bool) or not 0 < fraction <= 1:
+                return self.note(f"{path}.{name}", shown(fraction), "a mass fraction between 0 and 1")
         total = sum(raw.values())
         if abs(total - 1) > 0.01:
             return self.note(path, f"mass fractions with sum {total:g}", "mass fractions with sum 1 (within 0.01)")
@@ -365,13 +365,13 @@ class Reader:
         return self.note(path, shown(raw), key.expected())
 
     def _angles(self, path: str, raw: object, key: Key) -> Any:
-        given = raw if isinstance(raw, list) else [raw]
-        if not 0 < len(given) <= MOST_POINTS:
+        angles = raw if isinstance(raw, list) else [raw]
+        if not 0 < len(angles) <= MOST_POINTS:
             self.note(path, shown(raw), key.expected())
             return (UNUSABLE,)
-        places = [f"{path}[{i}]" for i in range(len(given))] if isinstance(raw, list) else [path]
+        places = [f"{path}[{i}]" for i in range(len(angles))] if isinstance(raw, list) else [path]
         each = Key(OF_LISTS[key.kind], key.low, key.high)
-        return tuple(self.value(place, one, each) for place, one in zip(places, given, strict=True))
+        return tuple(self.value(place, one, each) for place, one in zip(places, angles, strict=True))
 
     _lengths = _angles
 
@@ -379,29 +379,29 @@ class Reader:
         if not isinstance(raw, list):
             self.note(path, shown(raw), key.expected())
             return ()
-        found = []
-        for i, one in enumerate(raw):
-            match = re.fullmatch(STRIPS, one) if isinstance(one, str) else None
+        strips = []
+        for i, text in enumerate(raw):
+            match = re.fullmatch(STRIPS, text) if isinstance(text, str) else None
             if match is None:
-                self.note(f"{path}[{i}]", shown(one), key.expected())
+                self.note(f"{path}[{i}]", shown(text), key.expected())
                 continue
             sheet, first, last = match.groups()
-            found.append((int(sheet), int(first), int(last or first)))
-        return tuple(found)
+            strips.append((int(sheet), int(first), int(last or first)))
+        return tuple(strips)
 
     def _channels(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list):
             self.note(path, shown(raw), key.expected())
             return ()
-        found = []
-        for i, one in enumerate(raw):
-            match = re.fullmatch(WIRES, one) if isinstance(one, str) else None
+        channels = []
+        for i, text in enumerate(raw):
+            match = re.fullmatch(WIRES, text) if isinstance(text, str) else None
             if match is None:
-                self.note(f"{path}[{i}]", shown(one), key.expected())
+                self.note(f"{path}[{i}]", shown(text), key.expected())
                 continue
             first, last = match.groups()
-            found.append((int(first), int(last or first)))
-        return tuple(found)
+            channels.append((int(first), int(last or first)))
+        return tuple(channels)
 
     def _gains(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list):
@@ -415,9 +415,9 @@ class Reader:
             self.note(path, shown(raw), key.expected() + ", rows of equal length")
             return ((1.0,),)
         for row in rows:
-            for number in row:
-                if not isinstance(number, int | float) or isinstance(number, bool) or not key.admits(number):
-                    self.note(path, shown(number), key.expected())
+            for gain in row:
+                if not isinstance(gain, int | float) or isinstance(gain, bool) or not key.admits(gain):
+                    self.note(path, shown(gain), key.expected())
                     return ((1.0,),)
         return tuple(tuple(map(float, row)) for row in rows)
 
@@ -435,10 +435,10 @@ def _only(raw: Mapping[str, Any]) -> str:
 
 def _label_hint(path: str, siblings: Iterable[str]) -> str:
     """Return a hint for an incomplete table: a misspelt label, or a new part."""
-    others = list(siblings)
+    labels = list(siblings)
     label = path.rpartition(".")[2]
-    hint = did_you_mean(label, [other for other in others if other != label])
-    return hint or ("a part that the base does not have must be complete" if others else "")
+    hint = did_you_mean(label, [other for other in labels if other != label])
+    return hint or ("a part that the base does not have must be complete" if labels else "")
 
 
 #: Key of the material that a material of a variant replaces.
@@ -468,12 +468,12 @@ def _owner(key: str, cls: Any, known: Mapping[str, Any]) -> str:
     return f"it is a key of name = {owners}, and name is {cls.name!r} here" if owners else ""
 
 
-def readout_of(given: Readout | str | Mapping[str, Any]) -> Readout:
+def readout_of(choice: Readout | str | Mapping[str, Any]) -> Readout:
     """Return a readout of CGEM layers.
 
     Parameters
     ----------
-    given : Readout, str or mapping
+    choice : Readout, str or mapping
         A name stands for the readout with its defaults; a mapping is a table as in a detector file.
 
     Raises
@@ -481,32 +481,32 @@ def readout_of(given: Readout | str | Mapping[str, Any]) -> Readout:
     DetectorError
         With every problem: no such readout, one whose class is not registered, or wrong values.
     """
-    if isinstance(given, Readout) and READOUTS.get(given.name) is type(given):
-        return given
+    if isinstance(choice, Readout) and READOUTS.get(choice.name) is type(choice):
+        return choice
     reader = Reader()
-    if isinstance(given, Readout):
-        kind = type(given).__name__
+    if isinstance(choice, Readout):
+        kind = type(choice).__name__
         hint = f"cgemit.register_readout({kind}, ...) registers it"
         reader.note("readout", f"{kind}(...)", "one of " + ", ".join(READOUTS), hint)
-    found = reader.readout("readout", given, CgemLayer) if not reader.problems else CgemLayer.usual_readout
+    readout = reader.readout("readout", choice, CgemLayer) if not reader.problems else CgemLayer.usual_readout
     reader.problems.report("readout", DetectorError)
-    return found
+    return readout
 
 
-def readout_table(given: str | Mapping[str, Any] | Readout | Known) -> dict[str, Any]:
+def readout_table(choice: str | Mapping[str, Any] | Readout | Known) -> dict[str, Any]:
     """Return a readout as a table of its name and values: a name alone, or a readout read before, states all of them.
 
     Parameters
     ----------
-    given : str, mapping, Readout or Known
+    choice : str, mapping, Readout or Known
         As a file may state it; of a name that is not known only the name comes back.
     """
-    given = plain(given)
-    if isinstance(given, str) and given in READOUTS:
-        given = READOUTS[given]()
-    if isinstance(given, Readout):
-        return {"name": given.name, **opened(given)}
-    return dict(given) if isinstance(given, Mapping) else {"name": given}
+    choice = plain(choice)
+    if isinstance(choice, str) and choice in READOUTS:
+        choice = READOUTS[choice]()
+    if isinstance(choice, Readout):
+        return {"name": choice.name, **opened(choice)}
+    return dict(choice) if isinstance(choice, Mapping) else {"name": choice}
 
 
 def laid_readout(below: Any, above: Any) -> Any:
@@ -562,9 +562,9 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
                 kind.drop_replaced(_open(_tables(result, group), label), layer)
                 _lay_ends(_open(_tables(result, group), label), layer, *kind.short_form)
     for group in ("beam_pipe", "walls"):
-        for label, part in _tables(variant, group).items():
-            if isinstance(part, Mapping):
-                _lay_ends(_open(_tables(result, group), label), part, *Bounded.short_form)
+        for label, part_changes in _tables(variant, group).items():
+            if isinstance(part_changes, Mapping):
+                _lay_ends(_open(_tables(result, group), label), part_changes, *Bounded.short_form)
     _drop_field(result, _tables(variant, "field"))
     _drop_wires(_tables(result, "drift_chamber"), variant)
     _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
@@ -623,16 +623,16 @@ def _copy_layer(
     """Add a layer that is a copy of another one with some values changed; those derived from them are left out."""
     like = changes["like"]
     if not isinstance(like, str) or like not in layers:
-        given = f'"{like}"' if isinstance(like, str) else repr(like)
+        got = f'"{like}"' if isinstance(like, str) else repr(like)
         expected = "the label of another layer: " + ", ".join(layers)
-        problems.append(Problem(f"{group}.{label}.like", given, expected, did_you_mean(like, layers)))
+        problems.append(Problem(f"{group}.{label}.like", got, expected, did_you_mean(like, layers)))
         return
     layer = _copied(opened(layers[like]))
-    own = {name: value for name, value in changes.items() if name != "like"}
-    _lay_own_readout(layer, own)
-    LAYER_KINDS[group].drop_replaced(layer, own)
-    _lay_ends(layer, own, *LAYER_KINDS[group].short_form)
-    _lay_over(layer, own, label)
+    own_changes = {name: value for name, value in changes.items() if name != "like"}
+    _lay_own_readout(layer, own_changes)
+    LAYER_KINDS[group].drop_replaced(layer, own_changes)
+    _lay_ends(layer, own_changes, *LAYER_KINDS[group].short_form)
+    _lay_over(layer, own_changes, label)
     layers[label] = layer
 
 
@@ -707,9 +707,9 @@ def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
         if changes.keys() & set(_ENDS):
             for name in _ENDS:
                 _open(superlayers, label).pop(name, None)
-        own = _tables(_tables(changes, "superlayers"), label)
+        superlayer = _tables(_tables(changes, "superlayers"), label)
         for name, other in (("stereo", "twist"), ("twist", "stereo")):
-            if name in own:
+            if name in superlayer:
                 _open(superlayers, label).pop(other, None)
 
 
@@ -753,13 +753,13 @@ def _changed_stack(rows: list[Any], changes: Mapping[str, Any]) -> list[Any]:
 
     A row without a label has its material's name for one.
     """
-    found, left = [], dict(changes)
+    changed, left = [], dict(changes)
     for row in rows:
         label = _label(row)
         change = changes.get(str(label))
         left.pop(str(label), None)
-        found.append({"label": label, **opened(row), **change} if isinstance(change, Mapping) else row)
-    return found + [{"label": label, **change} for label, change in left.items() if isinstance(change, Mapping)]
+        changed.append({"label": label, **opened(row), **change} if isinstance(change, Mapping) else row)
+    return changed + [{"label": label, **change} for label, change in left.items() if isinstance(change, Mapping)]
 
 
 def _label(row: Any) -> Any:

@@ -56,9 +56,9 @@ class Bounded(Part):
         return f"length {high - low:g} mm" if low == -high else f"z = {low:g} to {high:g} mm"
 
 
-def share_z(one: tuple[float, float], other: tuple[float, float]) -> bool:
+def share_z(ends: tuple[float, float], other: tuple[float, float]) -> bool:
     """Return whether parts with these ends, mm, have a part of z in common; ends that touch are none."""
-    return not (one[1] <= other[0] + TOUCH or other[1] <= one[0] + TOUCH)
+    return not (ends[1] <= other[0] + TOUCH or other[1] <= ends[0] + TOUCH)
 
 
 class Shell(NamedTuple):
@@ -132,9 +132,9 @@ def row_of(shells: Sequence[Shell]) -> Row:
     shells : sequence of Shell
     """
     _, _, r_in, r_out, ends, materials = zip(*shells, strict=True)
-    made = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
+    compiled = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
     radius, spread, x0, xi, log_terms, elements = _core.detector.sum_shells(
-        materials=[made[id(material)] for material in materials], r_in=r_in, r_out=r_out
+        materials=[compiled[id(material)] for material in materials], r_in=r_in, r_out=r_out
     )
     low, high = zip(*ends, strict=True)
     numbers = (min(low), max(high), r_in[0], max(r_out), radius, spread, x0, xi)

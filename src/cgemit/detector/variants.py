@@ -98,7 +98,7 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
         Receives every pattern that matches nothing, every relative value of something that is no number, and keys
         that change what another pattern, or another plain key, changes.
     """
-    found: dict[str, object] = {}
+    overrides: dict[str, object] = {}
     exact: dict[str, object] = {}
     named_by: dict[tuple[str, bool], str] = {}  # of paths, and whether a pattern matched: the keys that match it
     removed = changes.get("remove")
@@ -117,12 +117,12 @@ def expanded(detector: Contents, changes: Mapping[str, object], problems: list[P
                 if before != keys and not any(one.path == key.strip() and one.unknown for one in problems):
                     given = f'{path}, which "{before}" changes too'
                     problems.append(Problem(key.strip(), given, "one key for each value", unknown=True))
-                made = _absolute(detector, path, value, problems)
-                (exact if plain else found).update(made)
-                changed = changed or bool(made)
+                values = _absolute(detector, path, value, problems)
+                (exact if plain else overrides).update(values)
+                changed = changed or bool(values)
         if not changed and factor_of(value) is not None and len(problems) == noted:
             problems.append(Problem(keys, shown(value), "an absolute value: the detector has no such pitch or error"))
-    return found | exact
+    return overrides | exact
 
 
 def _removed(detector: Contents, patterns: list[str], problems: list[Problem]) -> list[str]:
@@ -140,9 +140,9 @@ def matching(detector: Contents, pattern: str, problems: list[Problem]) -> Itera
     if not _is_pattern(pattern):
         yield pattern
         return
-    found, problem = _matched(detector, pattern)
+    matches, problem = _matched(detector, pattern)
     problems += [problem] if problem else []
-    yield from found
+    yield from matches
 
 
 @once
@@ -151,17 +151,17 @@ def _matched(detector: Contents, pattern: str) -> tuple[tuple[str, ...], Problem
     paths: list[tuple[str, Any]] = [("", _root(detector))]
     parts = pattern.split(".")
     for i, name in enumerate(parts):
-        found = []
+        children_of = []
         exact = not _is_pattern(".".join(parts[i:]))  # the name of a new part, perhaps
         for path, node in paths:
             children = _children(node)
             names = [name] if exact else [child for child in children if fnmatchcase(child, name)]
-            found += [(f"{path}.{child}".lstrip("."), children.get(child)) for child in names]
-        if not found:
+            children_of += [(f"{path}.{child}".lstrip("."), children.get(child)) for child in names]
+        if not children_of:
             known = ", ".join(dict.fromkeys(child for _, node in paths for child in _children(node)))
             given, expected = f'"{name}", which matches nothing', f"a pattern for {known or 'a part'}"
             return (), Problem(pattern, given, expected, unknown=True)
-        paths = found
+        paths = children_of
     return tuple(path for path, _ in paths), None
 
 
@@ -251,18 +251,18 @@ def _absolute(detector: Contents, path: str, value: object, problems: list[Probl
         hint = did_you_mean(path.rpartition(".")[2], _siblings(detector, path))
         problems.append(Problem(path, shown(value), "a number of the detector", hint, unknown=True))
         return {}
-    number, key = now
+    old, key = now
     parent, _, last = path.rpartition(".")
-    if number == 0 and _node(detector, parent).may_lack(last):
+    if old == 0 and _node(detector, parent).may_lack(last):
         return {}
-    if key.kind == "integer" and (number * factor) % 1 == 0:
-        return {path: Known(round(number * factor))}
-    if (key.kind in NATIVE and number is not None) or (key.kind == "offset" and isinstance(number, float)):
-        return {path: Known(number * factor)}
-    if key.kind in OF_LISTS and number:
-        return {path: Known(tuple(one * factor for one in number))}
+    if key.kind == "integer" and (old * factor) % 1 == 0:
+        return {path: Known(round(old * factor))}
+    if (key.kind in NATIVE and old is not None) or (key.kind == "offset" and isinstance(old, float)):
+        return {path: Known(old * factor)}
+    if key.kind in OF_LISTS and old:
+        return {path: Known(tuple(one * factor for one in old))}
     if key.kind not in ("text", "material", "gas"):
-        given = f"{shown(value)} times {number}" if key.kind == "integer" else shown(value)
+        given = f"{shown(value)} times {old}" if key.kind == "integer" else shown(value)
         problems.append(Problem(path, given, key.expected()))
         return {}
     return {path: value}

@@ -186,14 +186,14 @@ class CgemLayer(Layer):
             ("anode", [(part.label, part.thickness, part.material) for part in self.anode]),
         )
         radius, ends, make = self.r_in, self.ends, tuple.__new__  # half the time of Shell(...)
-        found = []
-        for group, part in parts:
+        stacks = []
+        for group, layers in parts:
             shells = []
-            for label, thickness, material in part:
+            for label, thickness, material in layers:
                 r_in, radius = radius, radius + thickness
                 shells.append(make(Shell, (group, label, r_in, radius, ends, material)))
-            found.append(tuple(shells))
-        return tuple(shells for shells in found if shells)
+            stacks.append(tuple(shells))
+        return tuple(shells for shells in stacks if shells)
 
     # What a detector file has of it
 
@@ -242,11 +242,11 @@ class CgemLayer(Layer):
     @once
     def problems(self) -> list[Problem]:
         """Return strips and holes that do not fit, and electrodes and gaps that leave no room inside."""
-        found = self._strip_problems() + self._hole_problems() + self._map_problems() + self._dead_problems()
+        problems = self._strip_problems() + self._hole_problems() + self._map_problems() + self._dead_problems()
         if self.r_in <= 0:
             given = f"an inner face at {self.r_in:g} mm"
-            found.append(Problem(self.path, given, "gaps and electrodes that fit inside anode_radius"))
-        return found
+            problems.append(Problem(self.path, given, "gaps and electrodes that fit inside anode_radius"))
+        return problems
 
     def _strip_problems(self) -> list[Problem]:
         """Return X strips wider than the sheet and V strips beyond its far corner."""
@@ -255,21 +255,21 @@ class CgemLayer(Layer):
         problems = []
         if self.strips_x * self.pitch_x > width + TOUCH:
             most = math.floor(width / self.pitch_x + 1e-9)
-            given = f"{self.strips_x} strips of {self.pitch_x:g} mm"
-            problems.append(Problem(f"{path}.strips_x", given, f"at most {most} on a sheet {width:.3f} mm wide"))
+            got = f"{self.strips_x} strips of {self.pitch_x:g} mm"
+            problems.append(Problem(f"{path}.strips_x", got, f"at most {most} on a sheet {width:.3f} mm wide"))
             return problems  # V strips cross the X strips: nothing to say about them yet
         extent = self.strips_x * self.pitch_x * math.cos(self.stereo) + self.length * math.sin(abs(self.stereo))
         if (self.strips_v + self.offset_v) * self.pitch_v > extent + TOUCH:
             most = math.floor(extent / self.pitch_v - self.offset_v + 1e-9)
-            given = f"{self.strips_v} strips of {self.pitch_v:g} mm"
-            given += f" after an offset of {self.offset_v:g} strips" if self.offset_v else ""
+            got = f"{self.strips_v} strips of {self.pitch_v:g} mm"
+            got += f" after an offset of {self.offset_v:g} strips" if self.offset_v else ""
             problems.append(
-                Problem(f"{path}.strips_v", given, f"at most {most}: the sheet measures {extent:.3f} mm along V")
+                Problem(f"{path}.strips_v", got, f"at most {most}: the sheet measures {extent:.3f} mm along V")
             )
         if abs(self.stereo) < math.radians(1):
-            given = f"{math.degrees(self.stereo):g} deg"
+            got = f"{math.degrees(self.stereo):g} deg"
             expected = "at least 1 deg, either sign: otherwise z is not measured"
-            problems.append(Problem(f"{path}.stereo", given, expected, self.hint_of("stereo")))
+            problems.append(Problem(f"{path}.stereo", got, expected, self.hint_of("stereo")))
         return problems
 
     def _map_problems(self) -> list[Problem]:
@@ -283,12 +283,12 @@ class CgemLayer(Layer):
                         path = f"{self.path}.{name}[{i}]"
                         problems.append(Problem(path, strip_text(sheet, first, last), expected))
         for name in ("sheet_shift_z", "sheet_rotation"):
-            if len(given := getattr(self, name)) > self.sheets:
+            if len(values := getattr(self, name)) > self.sheets:
                 expected = f"at most {self.sheets}, one for each sheet"
-                problems.append(Problem(f"{self.path}.{name}", f"{len(given)} values", expected))
+                problems.append(Problem(f"{self.path}.{name}", f"{len(values)} values", expected))
         if self.gain_map and len(self.gain_map) != self.sheets:
-            given = f"gains of {len(self.gain_map)} sheets"
-            problems.append(Problem(f"{self.path}.gain_map", given, f"those of {self.sheets}"))
+            got = f"gains of {len(self.gain_map)} sheets"
+            problems.append(Problem(f"{self.path}.gain_map", got, f"those of {self.sheets}"))
         return problems
 
     def _dead_problems(self) -> list[Problem]:
@@ -298,9 +298,9 @@ class CgemLayer(Layer):
             ("dead_ends", self.dead_ends, self.half_length),
         )
         return [
-            Problem(f"{self.path}.{name}", f"{given:g} mm", f"less than {most:g} mm, which leaves a part of a sheet")
-            for name, given, most in sizes
-            if given > 0 and given >= most
+            Problem(f"{self.path}.{name}", f"{size:g} mm", f"less than {most:g} mm, which leaves a part of a sheet")
+            for name, size, most in sizes
+            if size > 0 and size >= most
         ]
 
     def _hole_problems(self) -> list[Problem]:
@@ -438,13 +438,13 @@ class _Matter:
 
 
 @lru_cache(maxsize=256)
-def _same_matter(matter: _Matter, number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
+def _same_matter(matter: _Matter, layer_number: int, first_foil: int, merge: bool, lattice: bool) -> tuple[Slab, ...]:
     layer, stacks = matter.layer, matter.layer.stacks()
     foils: tuple[Slab, ...] = ()
     if lattice:
         foils = tuple(Slab((shell,), holes=holes) for shell, holes in perforated(layer, first_foil))
         stacks = tuple(shells for shells in stacks if shells[0].group != "foils")
-    return foils + slabs_of(stacks, layer.sensitive, number, merge)
+    return foils + slabs_of(stacks, layer.sensitive, layer_number, merge)
 
 
 def perforated(layer: CgemLayer, first_foil: int) -> Iterator[tuple[Shell, Holes | None]]:
@@ -459,9 +459,9 @@ def perforated(layer: CgemLayer, first_foil: int) -> Iterator[tuple[Shell, Holes
     """
     shells = [shell for shell in layer.shells() if shell.group == "foils"]
     n = len(layer.foil)
-    for number in range(layer.foils):
-        *parts, gas = shells[number * (n + 1) : (number + 1) * (n + 1)]
-        for shell, holes in zip(parts, _holes(layer, first_foil + number), strict=True):
+    for i_foil in range(layer.foils):
+        *parts, gas = shells[i_foil * (n + 1) : (i_foil + 1) * (n + 1)]
+        for shell, holes in zip(parts, _holes(layer, first_foil + i_foil), strict=True):
             yield shell._replace(material=shell.material.solid()), holes
         yield gas, None
 

@@ -425,13 +425,13 @@ def whole(rounded: Callable[[float], int], value: float) -> int:
     return value if math.isnan(value) else rounded(value)  # type: ignore[return-value]
 
 
-def slabs_of(stacks: Iterable[tuple[Shell, ...]], sensitive: str, number: int, merge: bool) -> tuple[Slab, ...]:
+def slabs_of(stacks: Iterable[tuple[Shell, ...]], sensitive: str, layer_number: int, merge: bool) -> tuple[Slab, ...]:
     """Return groups of sub-layers as slabs: each as one, or each sub-layer, but for the group that measures."""
-    found = []
+    slabs = []
     for shells in stacks:
-        gap = number if shells[0].group == sensitive else -1
-        found += [Slab(part, gap) for part in ([shells] if merge else [(shell,) for shell in shells])]
-    return tuple(found)
+        gap = layer_number if shells[0].group == sensitive else -1
+        slabs += [Slab(part, gap) for part in ([shells] if merge else [(shell,) for shell in shells])]
+    return tuple(slabs)
 
 
 #: Sheet and strips of a list of strips.

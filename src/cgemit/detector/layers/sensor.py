@@ -183,9 +183,9 @@ class MeasurementLayer(Layer):
         """Return the sensor, and the support behind it."""
         sensor = Shell("sensor", self.material.name, self.r_gap_in, self.r_gap_out, self.ends, self.material)
         radius, support = sensor.r_out, []
-        for part in self.support:
-            r_in, radius = radius, radius + part.thickness
-            support.append(Shell("support", part.label, r_in, radius, self.ends, part.material))
+        for row in self.support:
+            r_in, radius = radius, radius + row.thickness
+            support.append(Shell("support", row.label, r_in, radius, self.ends, row.material))
         return ((sensor,), tuple(support)) if support else ((sensor,),)
 
     def card_label(self, group: str) -> str:
@@ -269,22 +269,22 @@ class MeasurementLayer(Layer):
                     Problem(f"{path}.pitch_{view}", f"{pitch:g} mm", f"at most {most:g} mm, the size of the layer")
                 )
             if pitch and getattr(self, f"sigma_{view}"):
-                given = f"{pitch:g} mm and sigma_{view} = {getattr(self, f'sigma_{view}'):g} mm"
+                got = f"{pitch:g} mm and sigma_{view} = {getattr(self, f'sigma_{view}'):g} mm"
                 expected = "one of them: strips have the error pitch/sqrt(12)"
-                problems.append(Problem(f"{path}.pitch_{view}", given, expected))
+                problems.append(Problem(f"{path}.pitch_{view}", got, expected))
         if (self.ladders > 0) != (self.ladder_gap > 0):
-            given = f"{self.ladders}, and ladder_gap = {self.ladder_gap:g} mm"
-            problems.append(Problem(f"{path}.ladders", given, "both above 0, or none of them"))
+            got = f"{self.ladders}, and ladder_gap = {self.ladder_gap:g} mm"
+            problems.append(Problem(f"{path}.ladders", got, "both above 0, or none of them"))
         elif self.ladders and self.ladders * self.ladder_gap >= 2 * math.pi * self.radius:
             expected = f"less than {2 * math.pi * self.radius / self.ladders:g} mm, the width of a ladder with its gap"
             problems.append(Problem(f"{path}.ladder_gap", f"{self.ladder_gap:g} mm", expected))
         for view in self.views:
             if self.sigma_tan and not getattr(self, f"sigma_{view.lower()}"):
-                given = f"{self.sigma_tan:g} mm and no sigma_{view.lower()}"
-                problems.append(Problem(f"{path}.sigma_tan", given, "a sigma of each coordinate that is measured"))
+                got = f"{self.sigma_tan:g} mm and no sigma_{view.lower()}"
+                problems.append(Problem(f"{path}.sigma_tan", got, "a sigma of each coordinate that is measured"))
         if "V" in self.views and abs(self.stereo) < 1e-3:
-            given = f"{1000 * self.stereo:g} mrad"
-            problems.append(Problem(f"{path}.stereo", given, "at least 1 mrad, either sign: otherwise V is X"))
+            got = f"{1000 * self.stereo:g} mrad"
+            problems.append(Problem(f"{path}.stereo", got, "at least 1 mrad, either sign: otherwise V is X"))
         return problems
 
     def design_keys(self) -> Iterator[str]:

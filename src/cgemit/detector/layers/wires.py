@@ -202,10 +202,10 @@ class WireLayer(Placed, Bounded):
             return np.empty(0), np.empty(0)
         nodes = np.array(sorted({0.0, *points, *(_NODES if self.diffusion else ())}))
         if points:
-            own = np.interp(nodes, points, [one.sigma for one in self.sigma_points])
+            sigma = np.interp(nodes, points, [one.sigma for one in self.sigma_points])
         else:
-            own = self.sigma + self.sigma_slope * nodes
-        return nodes, np.hypot(own, (self.diffusion or 0.0) * np.sqrt(nodes))
+            sigma = self.sigma + self.sigma_slope * nodes
+        return nodes, np.hypot(sigma, (self.diffusion or 0.0) * np.sqrt(nodes))
 
     def wire_matter(self, wire_material: Material) -> tuple[tuple[Material, float], ...]:
         """Return materials and mean X/X0 of the layer's wires at normal incidence, in their middle.
@@ -259,11 +259,11 @@ class WireLayer(Placed, Bounded):
         """
         nominal = self.phi_east + 2 * math.pi * np.asarray(wires) / self.cells
         (low, high), shifts = self.ends, (self.end_shift[:3], self.end_shift[3:])
-        found = []
+        ends = []
         for azimuth, z, (x, y, turn) in zip((nominal, nominal - self.twist), (high, low), shifts, strict=True):
             across = self.r_end * np.cos(azimuth + turn) + x, self.r_end * np.sin(azimuth + turn) + y
-            found.append(np.stack([*across, np.full_like(across[0], z)], axis=-1))
-        points = np.stack(found, axis=-2)
+            ends.append(np.stack([*across, np.full_like(across[0], z)], axis=-1))
+        points = np.stack(ends, axis=-2)
         return points @ self.turn + self.shift if self.is_moved else points
 
     def end_points(self, wire: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -445,9 +445,9 @@ class DriftChamber(Placed):
         reach = f", r = {self.layers[0].r_mid:.1f} to {self.layers[-1].r_end:.1f} mm" if self.layers else ""
         matter = "not counted"
         if self.wires == "smeared":
-            found = [one for layer in self.layers for one in layer.wire_matter(self.wire_material)]
-            names = " and ".join(dict.fromkeys(material.name for material, _ in found))
-            matter = f"{names}, {100 * sum(x0 for _, x0 in found):.3g} % X0, spread over the gas"
+            wire_matter = [one for layer in self.layers for one in layer.wire_matter(self.wire_material)]
+            names = " and ".join(dict.fromkeys(material.name for material, _ in wire_matter))
+            matter = f"{names}, {100 * sum(x0 for _, x0 in wire_matter):.3g} % X0, spread over the gas"
         gases = " and ".join(dict.fromkeys((layer.gas or self.gas).name for layer in self.layers)) or self.gas.name
         wires = f"{len(self.layers)} layers, {cells} cells{reach}, gas {gases}"
         return f"{wires}, matter of the wires {matter}, drift times {self.drift_text()}{self.moved_text()}"
@@ -498,37 +498,37 @@ class DriftChamber(Placed):
         return [layer for layer in self.layers if not layer.problems()]
 
 
-def _crossed_wires(layers: Sequence[WireLayer], number: int) -> Problem | None:
+def _crossed_wires(layers: Sequence[WireLayer], i: int) -> Problem | None:
     """Return whether a layer crosses one inside of it at a z where both have wires, or has no such z with the next.
 
     The difference of the squares of the radii is quadratic in z: they are compared where it is smallest or largest, and
     at the ends of the part of z that both have. Layers inside of one that is as long as this one have been compared
     with that one.
     """
-    outer = layers[number]
-    for inner in reversed(layers[:number]):
+    outer = layers[i]
+    for inner in reversed(layers[:i]):
         ends = list(zip(inner.ends, outer.ends, strict=True))
         low, high = max(ends[0]), min(ends[1])
         if low >= high:
-            if inner is layers[number - 1]:
+            if inner is layers[i - 1]:
                 low, high = outer.ends
                 expected = f"wires beside those of layer {inner.number}, which fill the chamber with it"
                 return Problem(outer.path, f"wires from z = {low:g} to {high:g} mm", expected)
             continue
         for z in _turning_points(inner, outer, low, high):
             if outer.radius_at(z) <= inner.radius_at(z) + TOUCH:
-                given = f"wires at r = {outer.radius_at(z):g} mm at z = {z:g} mm"
+                got = f"wires at r = {outer.radius_at(z):g} mm at z = {z:g} mm"
                 expected = f"more than the {inner.radius_at(z):g} mm of layer {inner.number} there"
-                return Problem(outer.path, given, expected)
+                return Problem(outer.path, got, expected)
         if (low, high) == outer.ends:
             break
     return None
 
 
-def _turning_points(one: WireLayer, other: WireLayer, low: float, high: float) -> Iterator[float]:
+def _turning_points(inner: WireLayer, other: WireLayer, low: float, high: float) -> Iterator[float]:
     """Yield z between two ends where the distance of two layers may be smallest, mm."""
-    first, second = ((layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length) ** 2 for layer in (one, other))
-    z = (first * one.z_mid - second * other.z_mid) / (first - second) if first != second else 0.0
+    first, second = ((layer.r_end * math.sin(0.5 * layer.twist) / layer.half_length) ** 2 for layer in (inner, other))
+    z = (first * inner.z_mid - second * other.z_mid) / (first - second) if first != second else 0.0
     yield min(max(z, low), high)
     yield high
     yield low

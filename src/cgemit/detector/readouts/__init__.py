@@ -54,9 +54,9 @@ Part = TypeVar("Part")
 
 def part_of(readout: Readout, parts: Mapping[type[Readout], Part]) -> Part:
     """Return the digitizer or clusterer of a readout: that of its class, or of the nearest class that it extends."""
-    for one in type(readout).__mro__:
-        if one in parts:
-            return parts[one]
+    for kind in type(readout).__mro__:
+        if kind in parts:
+            return parts[kind]
     raise ValueError(f"readout: got {readout.name!r}, expected one of {names_of()}")
 
 

@@ -70,9 +70,9 @@ class Readout(SettingsData, Part):
 
     def stated(self) -> dict[str, Any]:
         """Return the name, and the values that differ from their defaults, by key."""
-        found = {one.name: getattr(self, one.name) for one in fields(self)}
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
         usual = {one.name: default_of(one) for one in fields(self)}
-        return {"name": self.name} | {name: value for name, value in found.items() if value != usual[name]}
+        return {"name": self.name} | {name: value for name, value in values.items() if value != usual[name]}
 
 
 @dataclass(frozen=True)
