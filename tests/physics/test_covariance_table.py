@@ -18,9 +18,10 @@ import pytest
 
 import cgemit as cg
 from cgemit import _core
+from cgemit.base.arrays import Columns
 from cgemit.covariance import tracks
 from cgemit.covariance.tracks import core_width
-from cgemit.detector.core import Columns, layer_table, slab_table, wire_table
+from cgemit.detector.core import layer_table, slab_table, wire_table
 from cgemit.detector.matter import slabs
 from cgemit.detector.shells import Slab
 from cgemit.helix import RADIUS_PER_KAPPA

@@ -16,20 +16,17 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import helix
 from cgemit.analysis.curves import Spectrum, histograms
 from cgemit.analysis.quantities import V, X
 from cgemit.analysis.widths import GaussianFit, Resolution, gaussian_fit, measure, share_error
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Ints
 from cgemit.chain.result import Result
 from cgemit.tables import Table
 from cgemit.tables.check import refuse_wrong
 from cgemit.tables.show import Comparable, Shown, Tabular, with_error
 from cgemit.truth import assign
-
-Ints = npt.NDArray[np.int32]
 
 #: Half-widths of the windows by what result ids call them, mm.
 X_WINDOWS: Mapping[str, float] = MappingProxyType({"1mm": 1.0, "2mm": 2.0, "3mm": 3.0, "5mm": 5.0, "all": math.inf})

@@ -12,11 +12,9 @@ import numpy.typing as npt
 from cgemit.analysis.quantities import quantity_of
 from cgemit.analysis.resolutions import resolution
 from cgemit.analysis.widths import FEWEST, GaussianFit, Resolution
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Ints
 from cgemit.tables import Table
 from cgemit.tables.show import shown, with_error
-
-Ints = npt.NDArray[np.int64]
 
 #: Core widths to each side within which figures and reports take the RMS; values outside are counted.
 WINDOW = 5.0

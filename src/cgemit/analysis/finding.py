@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.widths import Fraction
-from cgemit.base.arrays import Flags, Floats
+from cgemit.base.arrays import Flags, Floats, Rows
 from cgemit.chain.result import Result
 from cgemit.chain.settings import finder_of, mass_by
 from cgemit.detector.inventory import channels as strips
@@ -22,9 +22,6 @@ from cgemit.tables.show import Shown
 from cgemit.truth.assign import own_clusters
 from cgemit.truth.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
 from cgemit.truth.origins import have_flown, origins_of
-
-Rows = npt.NDArray[np.int64]
-Column = npt.NDArray[Any]
 
 
 class ParticleCounts(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Column, Columns, Floats
 from cgemit.base.errors import report
 from cgemit.base.files import check_regular, package
 from cgemit.detector import Detector, load
@@ -79,9 +79,6 @@ def _positive(matrices: Floats) -> int:
     size = np.where(size > 0, size, 1.0)
     return int(np.count_nonzero(np.linalg.eigvalsh(matrices / (size[:, :, None] * size[:, None, :])).min(axis=1) > 0))
 
-
-Column = npt.NDArray[Any]
-Columns = dict[str, Column]
 
 #: What files hold, by the endings of their names.
 ENDINGS: Mapping[str, str] = {

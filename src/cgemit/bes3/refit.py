@@ -10,14 +10,12 @@ import numpy.typing as npt
 
 from cgemit import helix
 from cgemit.analysis.quantities import QUANTITIES
+from cgemit.base.arrays import Column, Columns
 from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector, compiled
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.tables import Table
 from cgemit.tables.schema import PARAMETERS, FitStatus
-
-Column = npt.NDArray[Any]
-Columns = dict[str, Column]
 
 Kind = Literal["kal", "mdc"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Ints
 from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector
 from cgemit.detector.drift import propagation_time, relations_of
@@ -22,8 +22,6 @@ from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.schema import HIT_WIRE, FitStatus
 from cgemit.truth.match import match
 from cgemit.units import LIGHT
-
-Ints = npt.NDArray[np.int64]
 
 #: TDC time minus start time of a signal without flight, drift and propagation, ns: the median of the public events.
 ZERO_TIME = -233.5

@@ -8,10 +8,9 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Ints
 from cgemit.base.errors import Problems, did_you_mean
 from cgemit.detector import Detector
 from cgemit.detector.alignment import hat, points_of_relation
@@ -21,8 +20,6 @@ from cgemit.detector.layers.layer import PLACEMENT
 from cgemit.detector.layers.wires import END_SHIFT
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.units import QuantityError, parse_quantity
-
-Ints = npt.NDArray[np.int32]
 
 #: Constants of a CGEM layer and of the field, which are asked for by their own names.
 LORENTZ, FIELD = "lorentz_shift", "field.scale"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.analysis.quantities import UPPER
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Columns, Floats
 from cgemit.base.validate import is_whole
 from cgemit.covariance.result import Covariance, Entries
 from cgemit.covariance.tracks import (
@@ -38,8 +38,6 @@ from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from cgemit.reconstruction.states import StateStatus, Surface, shares_inside
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.tables.schema import HIT_WIRE, FitStatus
-
-Columns = dict[str, npt.NDArray[Any]]
 
 #: The status of a track without state at the cylinder.
 _LOST = {

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cgemit import _core
 from cgemit.base import isa
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Columns, Floats, Ints
 from cgemit.detector.detector import Detector, preset
 from cgemit.detector.drift import relation_of
 from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, SolenoidField
@@ -26,8 +26,6 @@ from cgemit.detector.material import Material
 from cgemit.detector.matter import hole_table, slabs
 from cgemit.detector.parts import Contents, extent
 from cgemit.detector.shells import ENDLESS, NUMBERS, Shell, Slab
-
-Ints = npt.NDArray[np.int32]
 
 
 class ChannelLists(NamedTuple):
@@ -298,8 +296,6 @@ def solenoid_grid(radius: float, half_length: float, z_offset: float, reach: tup
 #: Screening of nuclei by their electrons in multiple scattering (docs/methods/matter.md); the first is the default.
 Screening = Literal["wentzel", "moliere"]
 SCREENINGS: tuple[Screening, ...] = get_args(Screening)
-
-Columns = dict[str, NDArray[np.generic]]
 
 
 class SlabTable(NamedTuple):

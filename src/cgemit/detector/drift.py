@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Rows
 from cgemit.detector.keys import once
 from cgemit.detector.layers.wires import WireLayer
 from cgemit.detector.parts import Contents
@@ -231,9 +231,6 @@ def _relation_key(layer: WireLayer) -> tuple[Any, ...]:
 
 def _error_key(layer: WireLayer) -> tuple[Any, ...]:
     return layer.sigma, layer.sigma_slope, layer.sigma_points, layer.diffusion
-
-
-Rows = npt.NDArray[np.integer[Any]]
 
 
 def check_wire_times(detector: Contents) -> None:

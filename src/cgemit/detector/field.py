@@ -264,7 +264,7 @@ class Column(NamedTuple):
 
 
 #: By name; None for a column whose problem has been noted.
-Columns = dict[str, Column | None]
+MapColumns = dict[str, Column | None]
 
 
 def names_in(columns: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -274,7 +274,7 @@ def names_in(columns: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ..
     return BOX if columns.keys() & {"x", "y", "bx", "by"} else CYLINDER
 
 
-def checked_grid(columns: Columns, problems: list[Problem], mirror: Sequence[str] | None = None) -> FieldGrid | None:
+def checked_grid(columns: MapColumns, problems: list[Problem], mirror: Sequence[str] | None = None) -> FieldGrid | None:
     """Return the grid of columns in mm, rad and T after checking all that can be checked.
 
     `mirror` names the axes that are completed by symmetry; None: those of which the columns have one side of 0.

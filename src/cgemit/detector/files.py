@@ -18,7 +18,7 @@ import numpy as np
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problem, did_you_mean
 from cgemit.base.files import is_number, new_file, parse_toml, read_npz, read_text
-from cgemit.detector.field import Column, Columns, FieldGrid, checked_grid, names_in
+from cgemit.detector.field import Column, FieldGrid, MapColumns, checked_grid, names_in
 from cgemit.detector.reader import merged
 from cgemit.units import NATIVE, QuantityError, parse_quantity, units_of
 
@@ -387,7 +387,7 @@ def _write_csv(path: Path, arrays: Mapping[str, Floats]) -> None:
         writer.writerows([[repr(float(number)) for number in row] for row in rows])
 
 
-def _no_map(path: Path, problems: list[Problem]) -> Columns | None:
+def _no_map(path: Path, problems: list[Problem]) -> MapColumns | None:
     hint = "a text table: read_field_map(path, columns) and write_field_map"
     problems.append(Problem("", f'"{path.name}"', "a map file, .npz or .csv", hint))
     return None
@@ -409,7 +409,7 @@ def _check_unit(unit: object, dimension: str, path: str, problems: list[Problem]
         problems.append(Problem(path, f'unit "{unit}"', expected))
 
 
-def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
+def _read_npz(path: Path, problems: list[Problem]) -> MapColumns | None:
     """Return the arrays of a file in mm and T."""
     try:
         arrays = read_npz(path)
@@ -419,7 +419,7 @@ def _read_npz(path: Path, problems: list[Problem]) -> Columns | None:
     dimensions = _dimensions(*names_in(arrays))
     units = {dimension: _UNITS[dimension] for dimension in dimensions.values()}
     # Names that no map has are noted with the grid.
-    columns: Columns = dict.fromkeys(sorted(arrays.keys() - {*dimensions, *units.values()}))
+    columns: MapColumns = dict.fromkeys(sorted(arrays.keys() - {*dimensions, *units.values()}))
     for dimension, unit in units.items():
         names = [name for name, kind in dimensions.items() if kind == dimension]
         if unit in arrays:
@@ -446,7 +446,7 @@ def _lines(path: Path, problems: list[Problem]) -> list[str] | None:
         return None
 
 
-def _read_text(path: Path, columns: str, problems: list[Problem]) -> Columns | None:
+def _read_text(path: Path, columns: str, problems: list[Problem]) -> MapColumns | None:
     """Return the columns of a text table without a header as axes and arrays on the grid, in mm and T."""
     lines = _lines(path, problems)
     if lines is None:
@@ -458,7 +458,7 @@ def _read_text(path: Path, columns: str, problems: list[Problem]) -> Columns | N
     return _table(header, rows[first:], problems)
 
 
-def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
+def _read_csv(path: Path, problems: list[Problem]) -> MapColumns | None:
     """Return the columns of a file as axes and arrays on the grid, in mm and T."""
     lines = _lines(path, problems)
     if lines is None:
@@ -467,7 +467,7 @@ def _read_csv(path: Path, problems: list[Problem]) -> Columns | None:
     return _table(header, rows, problems)
 
 
-def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) -> Columns:
+def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) -> MapColumns:
     """Return the columns of a table by its header; a column ``-`` is not read."""
     matches = [_HEADER.fullmatch(name) for name in header]
     units = {match[1]: match[2] for match in matches if match}
@@ -486,7 +486,7 @@ def _table(header: list[str], rows: list[list[str]], problems: list[Problem]) ->
     usable = [name for name in dimensions if name in units]
     for name in usable:
         _check_unit(units[name], dimensions[name], f"header {name}", problems)
-    columns: Columns = dict.fromkeys(dimensions)
+    columns: MapColumns = dict.fromkeys(dimensions)
     table = _numbers(rows, len(header), problems, any_width=bool(missing))
     if table is None:
         return columns
@@ -510,10 +510,12 @@ def _numbers(rows: list[list[str]], width: int, problems: list[Problem], *, any_
         return None
 
 
-def _on_grid(columns: Columns, axes: tuple[str, ...], components: tuple[str, ...], problems: list[Problem]) -> Columns:
+def _on_grid(
+    columns: MapColumns, axes: tuple[str, ...], components: tuple[str, ...], problems: list[Problem]
+) -> MapColumns:
     """Sort the rows of a table onto the grid that its axes span."""
     on_axes = {name: columns[name] for name in axes}
-    flat: Columns = {name: columns[name] for name in components}
+    flat: MapColumns = {name: columns[name] for name in components}
     known = {name: column for name, column in on_axes.items() if column}
     if len(known) < len(axes):
         return dict.fromkeys(axes) | flat

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Rows
 from cgemit.particles.species import species
 from cgemit.units import LIGHT
 
@@ -282,8 +282,6 @@ def boost(momenta: Floats, parent: Floats) -> Floats:
     moved = momenta[..., :3] + factor[..., None] * p
     return np.concatenate([moved, ((energy * momenta[..., 3] + along) / mass)[..., None]], axis=-1)
 
-
-Rows = npt.NDArray[np.int64]
 
 #: Attempts at one decay before it is an error; five bodies of the catalogue take 6 on average.
 ATTEMPTS = 500

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Column
 from cgemit.base.errors import did_you_mean, report
 from cgemit.detector import Detector, compiled
 from cgemit.detector.channels import checked
@@ -17,8 +17,6 @@ from cgemit.particles.species import HYPOTHESES
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, HIT_XV, XV_CLUSTER
 from cgemit.tables.table import kind_problems, what
-
-Column = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Column, Columns, Floats
 from cgemit.base.errors import Problems, report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Momentum, Positive, Quantity, Whole
@@ -158,8 +158,6 @@ class FitSettings(SettingsData):
         return tuple(HYPOTHESES) if names == ("all",) else names
 
 
-Column = npt.NDArray[Any]
-
 #: Fields that the core's settings have, too.
 CORE_SETTINGS = ("max_iterations", "tolerance", "least_width", "delta_strips", "kinks", "outlier_pull")
 
@@ -259,7 +257,6 @@ def start_radii(candidates: Table, settings: FitSettings) -> Floats:
     return radii
 
 
-Columns = dict[str, npt.ArrayLike]
 Out = dict[str, npt.NDArray[np.generic]]  # what the compiled fit returns
 
 PARAMETERS = helix.PARAMETERS

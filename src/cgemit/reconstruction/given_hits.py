@@ -7,9 +7,9 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core, helix
+from cgemit.base.arrays import Column, Columns
 from cgemit.base.errors import did_you_mean, report
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.layers.layer import crossing_z, local_v
@@ -25,9 +25,6 @@ from cgemit.reconstruction.refine import RefineSettings, refinements
 from cgemit.tables import SCHEMAS, Table
 from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, XV_CLUSTER
 from cgemit.tables.show import columns_of
-
-Column = npt.NDArray[Any]
-Columns = dict[str, Column]
 
 #: Columns that are read.
 _SHARED = ("event", "candidate", "layer")

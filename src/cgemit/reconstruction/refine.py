@@ -10,13 +10,13 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.arrays import Flags, Floats
+from cgemit.base.arrays import Flags, Floats, Rows
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Quantity
@@ -32,7 +32,6 @@ from cgemit.tables import Table
 from cgemit.tables.schema import HIT_WIRE, is_fitted
 from cgemit.units import LIGHT
 
-Rows = npt.NDArray[np.signedinteger[Any]]
 TimeError = Annotated[float, Quantity("time", 1e-3, 1e3)]
 
 _STRIP_VIEWS = 2  # X and V in `candidate_hits`

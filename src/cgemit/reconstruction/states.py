@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Columns, Floats
 from cgemit.base.errors import report
 from cgemit.base.validate import number
 from cgemit.detector import SCREENINGS, Detector, load, slabs
@@ -24,7 +24,6 @@ from cgemit.tables.table import what
 
 Surface = _core.reconstruction.Surface
 StateStatus = _core.common.StateStatus
-Columns = dict[str, npt.ArrayLike]
 
 #: Surfaces of states by name; a number is the radius of a cylinder in mm.
 SurfaceName = Literal["origin", "beam_line", "beam_pipe", "hits"]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import helix
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Rows
 from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Quantity
@@ -64,8 +64,6 @@ def begin_at_vertices(
     begin[tracks["candidate"][rows]] = helix.start_radius(parameters[rows], points[vertex], bz)
     return candidates.with_columns(start_radius=begin)
 
-
-Rows = npt.NDArray[np.intp]
 
 Length = Annotated[float, Quantity("length", -1e6, 1e6)]
 Spread = Annotated[float, Quantity("length", 0, 1e9, above=True)]

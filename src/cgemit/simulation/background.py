@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Rows
 from cgemit.base.errors import Problems, did_you_mean, report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Quantity, check_numbers, check_seed
@@ -119,7 +119,6 @@ def level_of(detector: Detector, settings: BackgroundSettings) -> BackgroundLeve
     raise ValueError(f"background.level: got {settings.level!r}, expected one of {known}{missing}{hint}")
 
 
-Rows = npt.NDArray[np.int64]
 Channels = npt.NDArray[np.integer[Any]]
 
 STRESS_WINDOW = 400.0  # ns, of a given share of cells: all of them look like hits of tracks

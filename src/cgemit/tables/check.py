@@ -6,15 +6,12 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.arrays import Flags
+from cgemit.base.arrays import Flags, Ints
 from cgemit.base.errors import report
 from cgemit.tables.schema import FITTED, NEEDED_LINKS, SCHEMAS, Array, Column, range_of
 from cgemit.tables.table import Table, kind_problems, targets
-
-Ints = npt.NDArray[np.int64]
 
 WIRE, XV = 2, 2  # views of residuals and states, and of clusters
 #: Smallest eigenvalue of the correlations of a covariance: rounding, not a wrong sign.

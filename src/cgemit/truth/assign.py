@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Rows
 from cgemit.detector import Detector
 from cgemit.detector.layers.layer import local_v
 from cgemit.tables import Table
 from cgemit.tables.schema import HIT_V, HIT_X
-
-Rows = npt.NDArray[np.intp]
 
 _OF_STRIPS = 0  # `method` of clusters whose position is that of their strips
 _NEARER = 1e-6  # orders crossings inside several clusters

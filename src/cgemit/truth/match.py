@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.arrays import Flags, Floats
+from cgemit.base.arrays import Flags, Floats, Rows
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.tables import Table
@@ -18,7 +18,6 @@ from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus, is_fitted
 from cgemit.truth.assign import residuals
 from cgemit.truth.origins import particle_rows
 
-Rows = npt.NDArray[np.int64]
 Statuses = npt.NDArray[np.int8]
 
 

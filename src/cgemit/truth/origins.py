@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core
-from cgemit.base.arrays import Flags
+from cgemit.base.arrays import Flags, Rows
 from cgemit.tables import Table
-
-Rows = npt.NDArray[np.int64]
 
 
 def have_flown(particles: Table) -> Any:

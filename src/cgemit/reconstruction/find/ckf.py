@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from cgemit import _core
+from cgemit.base.arrays import Column
 from cgemit.base.errors import report
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Momentum, Quantity, Whole
@@ -107,9 +107,6 @@ class FindSettings(SettingsData):
     max_seeds: Count = 200
     annealing: bool = True
     momentum: Momentum | None = None
-
-
-Column = npt.NDArray[Any]
 
 
 class SearchLimits(enum.IntFlag):

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.base.arrays import Floats
+from cgemit.base.arrays import Floats, Rows
 from cgemit.base.errors import report
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
-
-Rows = npt.NDArray[np.int64]
 
 #: Relative change of the momentum from one half turn to another by energy loss, as a standard deviation.
 LOSS = 0.12
