@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from cgemit import helix
 from cgemit.base.arrays import Column, Columns, Floats
-from cgemit.base.errors import report
+from cgemit.base.errors import Problems, report
 from cgemit.base.files import check_regular, package
 from cgemit.detector import Detector, load
 from cgemit.helix import wrap_angle
@@ -503,7 +503,7 @@ def tables_of(
     wires = found.get("wire_hits")
     if every_cluster and clusters is not None and wires is not None:
         clusters["candidate"] = _of_the_only_track(clusters, wires)
-    hits = hit_tables(detector, clusters, wires, [], events=np.arange(n_events))
+    hits = hit_tables(detector, clusters, wires, Problems(), events=np.arange(n_events))
     numbers = [_track_numbers(hits[i], given) for i, given in enumerate((clusters, wires))]
     named = label_candidates(hits[0], hits[1], numbers[0], numbers[1])
     cover = {"n_events": n_events, "events": hits[0].cover["events"]}

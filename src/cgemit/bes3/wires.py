@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.arrays import Floats, Ints
+from cgemit.base.errors import Problems
 from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector
 from cgemit.detector.drift import propagation_time, relations_of
@@ -157,7 +158,7 @@ def all_wire_hits(
     good = (time >= WINDOW[0]) & (time <= WINDOW[1]) & ~np.isin(_gid(events.detector, of), without)
     picked = {name: column[good] for name, column in of.items()}
     picked |= {"drift_time": time[good], "drift": calibration.distance(events.detector, picked["layer"], time[good])}
-    return hit_tables(events.detector, None, picked, [], labelled=False, events=np.arange(n))[1]
+    return hit_tables(events.detector, None, picked, Problems(), labelled=False, events=np.arange(n))[1]
 
 
 def _gid(detector: Detector, of: Mapping[str, Any]) -> Ints:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, ParamSpec, TextIO, TypeVar
 
-from cgemit.base.errors import Problems, did_you_mean
+from cgemit.base.errors import Problem, Problems, did_you_mean
 from cgemit.units import QuantityError
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def stages() -> tuple[str, ...]:
 
 
 def split(
-    texts: Sequence[str], problems: list[str], *, settings: bool = True, detector: bool = True, readout: bool = False
+    texts: Sequence[str], problems: Problems, *, settings: bool = True, detector: bool = True, readout: bool = False
 ) -> Changes:
     """Return what the texts of `--set` change.
 
@@ -239,7 +239,7 @@ def split(
     ----------
     texts : sequence of str
         ``KEY=VALUE``.
-    problems : list of str
+    problems : Problems
         Receives each text of another form, and each key that is neither a setting nor a value of the detector.
     settings, detector, readout : bool
         Whether the command has settings, a detector, and a readout without a detector, to be changed.
@@ -258,14 +258,13 @@ def split(
         if detector and first == "background" and "." in rest:  # the detector's levels have labels
             kind = "detector"
         if not equals or not name or (kind == "settings" and not dot):
-            problems.append(f"--set: got {text!r}, expected KEY=VALUE such as {examples}")
+            problems.note("--set", repr(text), f"KEY=VALUE such as {examples}")
         elif kind == "settings":
             changes.settings.append((name, literal(value)))
         elif kind is not None:
             changes.detector[name] = literal(value)
         else:
-            expected = ", or ".join(_kinds_of_keys(known))
-            problems.append(f"--set: got {name!r}, expected {expected}{did_you_mean(first, known, '; ')}")
+            problems.note("--set", repr(name), ", or ".join(_kinds_of_keys(known)), did_you_mean(first, known))
     return changes
 
 
@@ -293,12 +292,12 @@ def settings_and_readout(arguments: argparse.Namespace, *, one_track: bool = Fal
     InputError
         Listing every problem.
     """
-    problems: list[str] = []
+    problems = Problems()
     changes = split(arguments.overrides, problems, detector=False, readout=True)
     settings = read_settings(arguments, changes.settings, problems, one_track=one_track)
     readout = collect(problems, _readout, arguments.readout, changes.detector)
     if problems:
-        raise InputError("\n  ".join(["wrong settings", *problems]))
+        raise InputError("\n  ".join(["wrong settings", *map(str, problems)]))
     return settings, readout
 
 
@@ -314,11 +313,11 @@ def settings_of(arguments: argparse.Namespace) -> Settings:
     InputError
         Listing every problem.
     """
-    problems: list[str] = []
+    problems = Problems()
     found = split(arguments.overrides, problems, detector=False)
     settings = read_settings(arguments, found.settings, problems)
     if problems:
-        raise InputError("\n  ".join(["wrong settings", *problems]))
+        raise InputError("\n  ".join(["wrong settings", *map(str, problems)]))
     return settings
 
 
@@ -337,7 +336,7 @@ def _readout(name: str | None, changes: Mapping[str, object]) -> Readout | None:
 def read_settings(
     arguments: argparse.Namespace,
     changed: Sequence[tuple[str, object]],
-    problems: list[str],
+    problems: Problems,
     *,
     one_track: bool = False,
 ) -> Settings:
@@ -349,7 +348,7 @@ def read_settings(
         With `--settings` and these options, as far as the command has them.
     changed : sequence of (str, object)
         The settings that `--set` changes.
-    problems : list of str
+    problems : Problems
         Receives every problem, and every option that contradicts `--set`.
     one_track : bool
         Whether the fit can assume one mass only.
@@ -363,21 +362,21 @@ def read_settings(
         try:
             layers.append((arguments.settings, _tables(arguments.settings)))
         except SettingsError as error:
-            problems += [f"{error.source}: {text}" for text in error.problems]
+            problems.extend(Problem(error.source, str(one), "") for one in error.problems)
     layers += [("--set", nested(key, value)) for key, value in changed]
     by_set = dict(changed)
     for flag, key, value in _options(arguments):
         layers.append((flag, nested(key, value)))
         if key in by_set and _listed(by_set[key]) != _listed(value):
-            problems.append(f"{flag}: got {value!r}, but {by_set[key]!r} from --set {key}; expected one of them")
+            problems.note(flag, f"{value!r}, but {by_set[key]!r} from --set {key}", "one of them")
     try:
         settings = Settings.from_layers(layers)
     except SettingsError as error:
-        problems += map(str, error.problems)
+        problems += error.problems
         return Settings()
     names = settings.fit.hypotheses()
     if one_track and len(names) > 1:
-        problems.append(f"fit.hypothesis: got {', '.join(names)}; this command expects one of them")
+        problems.note("fit.hypothesis", f"got {', '.join(names)}", "", "this command expects one of them")
     return settings
 
 
@@ -576,7 +575,7 @@ def load_inputs(
     InputError
         Listing every problem of the settings and of all detectors.
     """
-    problems: list[str] = []
+    problems = Problems()
     changes = split(arguments.overrides, problems)
     settings = read_settings(arguments, changes.settings, problems, one_track=one_track)
     sources = [arguments.detector] if isinstance(arguments.detector, str) else arguments.detector
@@ -587,25 +586,24 @@ def load_inputs(
             problems, load_detector, source, overrides, arguments.field, getattr(arguments, "readout", None)
         )
         if detector is not None and detector.name in detectors:
-            problems.append(
-                f"-d: got {source}, a second detector of the name {detector.name!r}; expected distinct names, "
-                'as `name = "..."` in a detector file'
-            )
+            text = f"{source}, a second detector of the name {detector.name!r}"
+            problems.note("-d", text, 'distinct names, as `name = "..."` in a detector file')
         elif detector is not None:
             detectors[detector.name] = detector
     if problems and gun:
         collect(problems, gun, arguments)
     if problems:
-        raise InputError("\n  ".join(["wrong input", *problems]) if len(problems) > 1 else problems[0])
+        texts = [str(one) for one in problems]
+        raise InputError("\n  ".join(["wrong input", *texts]) if len(texts) > 1 else texts[0])
     return list(detectors.values()), settings
 
 
-def collect(problems: list[str], make: Callable[P, T], *given: P.args, **named: P.kwargs) -> T | None:
+def collect(problems: Problems, make: Callable[P, T], *given: P.args, **named: P.kwargs) -> T | None:
     """Return what a function returns, or None with the message of its error added to `problems`."""
     try:
         return make(*given, **named)
     except ValueError as error:
-        problems.append(str(error))
+        problems.note("", str(error), "")
     return None
 
 

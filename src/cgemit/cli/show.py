@@ -80,13 +80,14 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the tables and write the pictures."""
+    from cgemit.base.errors import Problems
     from cgemit.base.files import check_free
     from cgemit.detector import describe
 
-    problems: list[str] = []
+    problems = Problems()
     overrides = options.split(arguments.overrides, problems, settings=False).detector
     if problems:
-        raise options.InputError("\n".join(problems))
+        raise options.InputError("\n".join(map(str, problems)))
     detector = options.load_detector(arguments.detector, overrides, arguments.field)
     numbers = describe(detector)
     folder = arguments.output or "cgemit-show-" + re.sub(r"[^\w.-]+", "-", detector.name)

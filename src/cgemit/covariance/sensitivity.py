@@ -311,23 +311,23 @@ class _Neighbour(NamedTuple):
 
 def _neighbour(base: Covariance, detector: Detector, key: str) -> _Neighbour | str:
     """Return the variant whose difference to the detector gives the derivative by a key, or why there is none."""
-    problems: list[str] = []
+    problems = Problems()
     for variant, side in _variants(detector, key, problems):
         core = core_of(base, variant)
         if keeps_order(base, core):
             return _Neighbour(variant, core, math.log1p(side))
-        problems.append(f"{key}: {OTHER_ORDER}")
-    return problems[-1]
+        problems.note(key, OTHER_ORDER, "")
+    return str(problems[-1])
 
 
-def _variants(detector: Detector, key: str, problems: list[str]) -> Iterator[tuple[Detector, float]]:
+def _variants(detector: Detector, key: str, problems: Problems) -> Iterator[tuple[Detector, float]]:
     """Yield possible variants by relative steps of a key, the wanted one first; `problems` receives the others'."""
     for step in STEPS:
         for side in (step, -step):
             try:
                 yield detector.with_overrides({key: f"x{1 + side!r}"}), side
             except DetectorError as error:
-                problems.append(str(error.problems[0]))
+                problems.append(error.problems[0])
 
 
 def design_keys(detector: Contents) -> Iterator[str]:

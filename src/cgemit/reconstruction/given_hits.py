@@ -10,7 +10,7 @@ import numpy as np
 
 from cgemit import _core, helix
 from cgemit.base.arrays import Column, Columns
-from cgemit.base.errors import did_you_mean, report
+from cgemit.base.errors import Problem, Problems, did_you_mean
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.layers.layer import crossing_z, local_v
 from cgemit.detector.parts import cgem_numbers
@@ -37,7 +37,7 @@ _READ = {
 _WHOLE = ("event", "layer", "sheet", "view", "first", "last", "size", "wire", "side", "candidate", "gid")
 
 
-def read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -> Columns:
+def read(kind: str, source: Any, needed: tuple[str, ...], problems: Problems) -> Columns:
     """Return the columns of a source, whole numbers as integers, with `event`, `given_row` and what is needed.
 
     Parameters
@@ -46,51 +46,51 @@ def read(kind: str, source: Any, needed: tuple[str, ...], problems: list[str]) -
         Name of the argument, for messages.
     source : Table, mapping of arrays, pandas.DataFrame, structured ndarray or None
     needed : tuple of str
-    problems : list of str
-        What is wrong is appended.
+    problems : Problems
+        What is wrong is added.
     """
     if source is None:
         return {name: np.zeros(0, np.int64) for name in ("event", "given_row", *needed)}
     columns = columns_of(source)
     if columns is None:
         expected = "a table, a mapping of arrays, a data frame or a structured array"
-        problems.append(f"{kind}: got {type(source).__name__}, expected {expected}")
+        problems.note(kind, type(source).__name__, expected)
         return read(kind, None, needed, problems)
     missing = [name for name in needed if name not in columns]
     rows = len(columns["layer"]) if "layer" in columns and columns["layer"].ndim else 0
     for name in missing:
-        problems.append(f"{kind}: {name}: missing, expected columns {', '.join(needed)}")
+        problems.note(f"{kind}: {name}", f"missing, expected columns {', '.join(needed)}", "")
     for name, column in columns.items():
         depth = 3 if name == "cov" else 1
         if column.ndim == 0 or len(column) != rows or column.ndim > depth or column.dtype.kind not in "iufb":
             if not missing:
-                problems.append(f"{kind}: {name}: got {column.dtype}, shape {column.shape}; expected {rows} numbers")
+                problems.note(f"{kind}: {name}", f"{column.dtype}, shape {column.shape}", f"{rows} numbers")
         elif name in _WHOLE:
             columns[name] = _whole(kind, name, column, problems)
         elif name == "cov" and column.shape != (rows, 2, 2):
-            problems.append(f"{kind}: cov: got shape {column.shape}, expected ({rows}, 2, 2)")
+            problems.note(f"{kind}: cov", f"shape {column.shape}", f"({rows}, 2, 2)")
     absent = [name for name in _READ[kind] if name not in columns]
     known = {*_READ[kind], *(column.name for column in SCHEMAS[kind])}
     for name in columns:  # a finder may read others
         if name not in known and (hint := did_you_mean(name, absent, near=0.85)):
-            problems.append(f"{kind}: {name}: got an unknown column; {hint}")
+            problems.note(f"{kind}: {name}", "got an unknown column", "", hint)
     if problems:
         return read(kind, None, needed, problems)
     columns.setdefault("event", np.zeros(rows, np.int64))
     return columns | {"given_row": np.arange(rows)}
 
 
-def _whole(kind: str, name: str, column: Column, problems: list[str]) -> Column:
+def _whole(kind: str, name: str, column: Column, problems: Problems) -> Column:
     """Return the column as integers; say which number is none, or too large for the tables."""
     if column.dtype.kind == "f":
         wrong = np.flatnonzero(~(column == np.rint(column)))
         if len(wrong):
-            problems.append(f"{kind} row {wrong[0]}: {name}: got {column[wrong[0]]}, expected a whole number")
+            problems.note(f"{kind} row {wrong[0]}: {name}", f"{column[wrong[0]]}", "a whole number")
         column = np.where(np.isfinite(column), column, 0)
     bits = 62 if name == "event" else 31
     wrong = np.flatnonzero((column < -(2.0**bits)) | (column >= 2.0**bits))
     if len(wrong):
-        problems.append(f"{kind} row {wrong[0]}: {name}: got {column[wrong[0]]}, expected a number below 2**{bits}")
+        problems.note(f"{kind} row {wrong[0]}: {name}", f"{column[wrong[0]]}", f"a number below 2**{bits}")
         return np.zeros(len(column), np.int64)
     return column.astype(np.int64)
 
@@ -117,8 +117,10 @@ class RowProblem(NamedTuple):
     got: str
     expected: str
 
-    def __str__(self) -> str:
-        return f"{self.table} row {self.row}: {self.name}: got {self.got}, expected {self.expected}"
+    @property
+    def problem(self) -> Problem:
+        """The problem of the hits as a whole."""
+        return Problem(f"{self.table} row {self.row}: {self.name}", self.got, self.expected)
 
 
 def value_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
@@ -223,7 +225,7 @@ def _strip_problems(detector: Detector, clusters: Columns) -> list[RowProblem]:
     return problems
 
 
-def repeated(kind: str, columns: Columns, names: tuple[str, ...]) -> list[str]:
+def repeated(kind: str, columns: Columns, names: tuple[str, ...]) -> list[Problem]:
     """Say which hits of a candidate are given twice: they would count double. Hits of none (number below 0) may repeat.
 
     Parameters
@@ -244,7 +246,7 @@ def repeated(kind: str, columns: Columns, names: tuple[str, ...]) -> list[str]:
         same &= (before == after) | ((before != before) & (after != after))
     same &= columns.get("candidate", np.zeros(rows))[order[1:]] >= 0
     return [
-        f"{kind} row {order[i + 1]}: got the hit of row {order[i]} again, expected each hit once"
+        Problem(f"{kind} row {order[i + 1]}", f"the hit of row {order[i]} again", "each hit once")
         for i in sorted(np.flatnonzero(same), key=lambda i: order[i + 1])
     ]
 
@@ -308,13 +310,13 @@ def fit_hits(
     ok [0.2]
     """
     detector = load(detector)
-    problems: list[str] = []
+    problems = Problems()
     if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
-        problems.append(f"hypothesis: got {hypothesis!r}, expected one of {', '.join(map(repr, HYPOTHESES))}")
+        problems.note("hypothesis", repr(hypothesis), f"one of {', '.join(map(repr, HYPOTHESES))}")
     if isinstance(candidates, str) and candidates != "ckf":
-        problems.append(f"candidates: got {candidates!r}, expected 'ckf', a finder, tables or None")
+        problems.note("candidates", repr(candidates), "'ckf', a finder, tables or None")
     if find is not None and not isinstance(candidates, str):
-        problems.append("find: got settings of the finder, expected None unless candidates is 'ckf'")
+        problems.note("find", "settings of the finder", "None unless candidates is 'ckf'")
     how, sought, fitted = RefineSettings.of(refine, "refine"), FindSettings.of(find, "find"), FitSettings.of(settings)
     hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None, settings=cluster)
     if candidates == "ckf":
@@ -340,7 +342,7 @@ def hit_tables(
     detector: Detector,
     clusters: Any,
     wire_hits: Any,
-    problems: list[str],
+    problems: Problems,
     *,
     labelled: bool = True,
     events: Column | None = None,
@@ -352,7 +354,7 @@ def hit_tables(
     ----------
     detector : Detector
     clusters, wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
-    problems : list of str
+    problems : Problems
         What is wrong already.
     labelled : bool
         Whether the column `candidate`, or else the event, says which hits belong together.
@@ -376,7 +378,7 @@ def hit_tables(
         named = [name for name, source in sources.items() if source is not None and label in (columns_of(source) or {})]
         bare = [name for name, columns in inputs.items() if len(columns["layer"]) and name not in named]
         if named and bare:
-            problems.append(f"{bare[0]}: have no column '{label}', as the {named[0]} have; expected both or none")
+            problems.note(bare[0], f"have no column '{label}', as the {named[0]} have; expected both or none", "")
     _raise(problems)
     with np.errstate(invalid="ignore"):  # infinite numbers are listed below
         of_clusters = _cluster_columns(detector, inputs["clusters"], reference, problems)
@@ -391,7 +393,7 @@ def hit_tables(
     wrong += [
         one for i, *about in listed if (one := RowProblem(tables[i], int(measured["hit"][i]), *about))[:2] not in rows
     ]
-    problems += dict.fromkeys(map(str, sorted(wrong, key=lambda one: one[:2])))
+    problems += dict.fromkeys(one.problem for one in sorted(wrong, key=lambda one: one[:2]))
     if labelled:  # else a finder may tell equal hits apart
         problems += repeated("clusters", columns[0], ("layer", "sheet", "view", "x", "v"))
         problems += repeated("wire_hits", columns[1], ("layer", "wire", "drift"))
@@ -405,12 +407,13 @@ def hit_tables(
 _MOST_LISTED = 10
 
 
-def _raise(problems: list[str], unlisted: int = 0) -> None:
+def _raise(problems: Problems, unlisted: int = 0) -> None:
     more = max(len(problems) - _MOST_LISTED, 0) + unlisted
-    report("fit_hits", problems[:_MOST_LISTED] + ([f"and {more} more"] if more else []))
+    rest = [Problem("", f"and {more} more", "")] if more else []
+    Problems(problems[:_MOST_LISTED] + rest).report("fit_hits")
 
 
-def _cluster_columns(detector: Detector, named: Columns, settings: ClusterSettings, problems: list[str]) -> Columns:
+def _cluster_columns(detector: Detector, named: Columns, settings: ClusterSettings, problems: Problems) -> Columns:
     """Return X, V and their errors of each row, whichever way they are given, and the other columns."""
     n = len(named["layer"])
     has = named.keys()
@@ -449,7 +452,7 @@ def _cluster_columns(detector: Detector, named: Columns, settings: ClusterSettin
     return columns
 
 
-def _sheets(detector: Detector, columns: Columns, has_sheet: bool, problems: list[str]) -> Column:
+def _sheets(detector: Detector, columns: Columns, has_sheet: bool, problems: Problems) -> Column:
     """Return the sheet of each cluster: as given, the only one of its layer, or that below its azimuth."""
     if has_sheet:
         return columns["sheet"]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from cgemit import _core
 from cgemit.base.arrays import Floats, Rows
-from cgemit.base.errors import Problems, did_you_mean, report
+from cgemit.base.errors import Problem, Problems, did_you_mean
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Quantity, check_numbers, check_seed
 from cgemit.base.validate import number as number_check
@@ -439,8 +439,7 @@ def mix_events(
     True
     """
     detector = load(detector)
-    problems = _argument_problems(digis, wire_hits, other, offset, seed)
-    _raise(problems)
+    _argument_problems(digis, wire_hits, other, offset, seed).report("mix_events")
     tables = _stored(*_identity(other)) if isinstance(other, str | os.PathLike) else dict(other)
     _check(detector, tables)
     n = tables["wire_hits"].n_events
@@ -504,33 +503,29 @@ def _stored(folder: str, _: int) -> dict[str, Table]:
     return {name: stored[name] for name in ("digis", "wire_hits") if name in stored}
 
 
-def _argument_problems(digis: object, wire_hits: object, other: object, offset: object, seed: object) -> list[str]:
+def _argument_problems(digis: object, wire_hits: object, other: object, offset: object, seed: object) -> Problems:
     """Return what is wrong with the arguments themselves."""
-    problems = []
+    problems = Problems()
     if not digis.covers_as(wire_hits):  # type: ignore[attr-defined]
-        problems.append("digis: got other events than those of wire_hits, expected the same")
+        problems.note("digis", "other events than those of wire_hits", "the same")
     if not isinstance(other, Mapping | str | os.PathLike):
-        problems.append(f"other: got {type(other).__name__}, expected tables by their names or the folder of a run")
+        problems.note("other", type(other).__name__, "tables by their names or the folder of a run")
     ends = [number_check(end) for end in offset] if isinstance(offset, Sequence | np.ndarray) else []
     if isinstance(offset, str) or len(ends) != 2 or not np.isfinite(ends).all() or ends[0] > ends[1]:
-        problems.append(f"offset: got {offset!r:.50}, expected a range (low, high) of two numbers, ns")
-    of_seed = Problems()
-    check_seed(seed, of_seed)
-    return problems + [str(one) for one in of_seed]
+        problems.note("offset", f"{offset!r:.50}", "a range (low, high) of two numbers, ns")
+    check_seed(seed, problems)
+    return problems
 
 
 def _check(detector: Detector, tables: Mapping[str, Table]) -> None:
     """Raise an error for tables of another kind or detector."""
-    _raise([f"{name}: missing" for name in ("digis", "wire_hits") if name not in tables])
+    Problems(Problem(name, "missing", "") for name in ("digis", "wire_hits") if name not in tables).report("mix_events")
     digis, wires = tables["digis"], tables["wire_hits"]
-    problems = [f"other: {one}" for one in table_problems(channels_of(detector), digis=digis, wire_hits=wires)]
+    texts = table_problems(channels_of(detector), digis=digis, wire_hits=wires)
+    problems = Problems(Problem("other", text, "") for text in texts)
     if not problems:
         if wires.n_events != digis.n_events:
-            problems.append(f"digis: got {digis.n_events} events, expected {wires.n_events}, as wire_hits has")
+            problems.note("digis", f"{digis.n_events} events", f"{wires.n_events}, as wire_hits has")
         elif not wires.n_events:
-            problems.append("wire_hits: got no events, expected at least one")
-    _raise(problems)
-
-
-def _raise(problems: list[str]) -> None:
-    report("mix_events", problems)
+            problems.note("wire_hits", "no events", "at least one")
+    problems.report("mix_events")

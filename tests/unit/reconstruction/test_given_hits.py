@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.base.errors import Problem
 from cgemit.detector.layers.layer import crossing_z
 from cgemit.reconstruction.fit import PARAMETERS
 from cgemit.reconstruction.given_hits import RowProblem
@@ -362,13 +363,13 @@ def test_mistakes_are_listed_by_the_rows_given(clusters, wires, messages):
 
 def test_rows_are_told_by_numbers_not_by_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     """X and V follow from a wrong azimuth: the core's complaints about them are left out, whatever texts say."""
-    monkeypatch.setattr(RowProblem, "__str__", lambda one: f"{one.name} of {one.row}")
+    monkeypatch.setattr(RowProblem, "problem", property(lambda one: Problem(f"{one.name} of {one.row}", "wrong", "")))
     points = {"layer": [0, 1], "phi": [1.0, np.inf], "z": [0.0, 0.0], "err_phi": [1e-3, 1e-3], "err_z": [0.3, 0.3]}
     wires = {"layer": [8] * 60, "wire": np.arange(60), "drift": [1.0] * 60, "sigma": [0.0] * 60}
     with pytest.raises(ValueError, match="fit_hits:") as error:
         cg.fit_hits(DETECTOR, points, wires)
-    sigmas = [f"sigma of {row}" for row in range(9)]  # 10 of 61; the core also names X and V of the point
-    assert [line.strip() for line in str(error.value).splitlines()[1:]] == ["phi of 1", *sigmas, "and 51 more"]
+    sigmas = [f"sigma of {row}: wrong" for row in range(9)]  # 10 of 61; the core also names X and V of the point
+    assert [line.strip() for line in str(error.value).splitlines()[1:]] == ["phi of 1: wrong", *sigmas, "and 51 more"]
 
 
 def test_hits_given_twice(run):
