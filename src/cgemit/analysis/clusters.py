@@ -79,10 +79,6 @@ class ClusterResiduals:
 def cluster_residuals(result: Result) -> ClusterResiduals:
     """Return the residuals of the clusters that the fit gets (`cgemit.truth.assign.own_clusters`).
 
-    Parameters
-    ----------
-    result : Result
-
     Returns
     -------
     ClusterResiduals

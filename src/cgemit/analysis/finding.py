@@ -56,12 +56,7 @@ _ALONG = 1e-6
 
 
 def count_particles(result: Result) -> ParticleCounts:
-    """Return the measurements of each particle.
-
-    Parameters
-    ----------
-    result : Result
-    """
+    """Return the measurements of each particle."""
     particles, clusters, wire_hits = result.particles, result.clusters, result.wire_hits
     n = len(particles)
     rows = own_clusters(result.detector, clusters, result.truths)

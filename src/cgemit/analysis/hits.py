@@ -284,13 +284,7 @@ def hit_residuals(result: Result) -> HitResiduals:
 
 
 def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
-    """Return the same of other hits, row by row those of the result, such as with other errors.
-
-    Parameters
-    ----------
-    result : Result
-    clusters, wires : Table
-    """
+    """Return the same of other hits, row by row those of the result, such as with other errors."""
     how = replace(_plain(result.settings), residuals=True, states=("hits",))
     made = fit.unchecked(result.detector, clusters, wires, result.candidates, result.candidate_hits, how)
     of, states = made["residuals"], made["states"]

@@ -120,10 +120,6 @@ _SECONDARY = 1000  # added to the particle's number by a flag that the public si
 def read_bes3(path: Path) -> tuple[dict[str, Columns], int]:
     """Return what a file holds as columns, and the number of its events.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     tables : dict of str to dict of str to ndarray

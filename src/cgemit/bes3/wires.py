@@ -73,10 +73,6 @@ def calibrate(events: Bes3Events) -> DriftCalibration:
 
     A layer needs 10 hits for its zero time, and 100 on a side for its relation; a layer of the inner chamber (0 to 7)
     with fewer has the relation of all of it, if that has 100. The outer layers then have the common one.
-
-    Parameters
-    ----------
-    events : Bes3Events
     """
     hits = events.wire_hits
     if not len(hits):
@@ -173,10 +169,6 @@ def cell_status(events: Bes3Events) -> npt.NDArray[np.int8]:
 
     A cell is hot if it fires in more events than five standard deviations above the mean of its layer, and dead if it
     never fires and the mean is so large that none of a million cells would do so by chance. Few events show neither.
-
-    Parameters
-    ----------
-    events : Bes3Events
 
     Returns
     -------

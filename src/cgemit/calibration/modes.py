@@ -240,12 +240,7 @@ class Solution:
         )  # fmt: skip
 
     def modes(self, number: int = 5) -> Modes:
-        """Return the weakest modes, zero modes first.
-
-        Parameters
-        ----------
-        number : int
-        """
+        """Return the weakest modes, zero modes first."""
         reach = np.array([_reach(self.detector, one) for one in self.constants])
         patterns = _patterns(self.detector, self.names)
         shapes = [zero / max(np.abs(zero * reach).max(), 1e-300) for zero in self.zeros]

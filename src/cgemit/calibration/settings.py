@@ -106,11 +106,6 @@ def plan_of(
 ) -> tuple[tuple[Constant, ...], tuple[Constant, ...], Mapping[str, float]]:
     """Return the free constants, those that are fixed by name, and the errors of surveys by name.
 
-    Parameters
-    ----------
-    detector : Detector
-    settings : AlignmentSettings
-
     Raises
     ------
     ValueError

@@ -226,12 +226,7 @@ class Totals:
 
 
 def at_a_time(workers: Workers) -> int:
-    """Return how many chunks run at a time.
-
-    Parameters
-    ----------
-    workers : Workers
-    """
+    """Return how many chunks run at a time."""
     threads = workers.threads or cores()
     return int(max(threads, getattr(workers.executor, "_max_workers", threads)))
 

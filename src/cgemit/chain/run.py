@@ -244,13 +244,7 @@ def run(
 
 
 def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table]]]:
-    """Yield the tables that each stage makes of one table of particles; who takes them stops where he likes.
-
-    Parameters
-    ----------
-    job : Job
-    particles : Table of kind "particles"
-    """
+    """Yield the tables that each stage makes of one table of particles; who takes them stops where he likes."""
     settings = job.settings
     fit = replace(fit_settings(settings, job.source), components=True)  # for `quantile_p`
     made: Tables = transport(job.detector, particles, settings.simulate, job.seed)
@@ -287,13 +281,7 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
 
 
 def finder_of_run(job: Job, truths: Truths) -> Finder:
-    """Return the finder of a run: a function, or the one of this name.
-
-    Parameters
-    ----------
-    job : Job
-    truths : Truths
-    """
+    """Return the finder of a run: a function, or the one of this name."""
     if callable(job.finder):
         return job.finder
     settings, source = job.settings, job.source
@@ -302,11 +290,6 @@ def finder_of_run(job: Job, truths: Truths) -> Finder:
 
 def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:
     """Run the stages on one table of particles.
-
-    Parameters
-    ----------
-    job : Job
-    particles : Table of kind "particles"
 
     Returns
     -------

@@ -304,10 +304,6 @@ def settings_and_readout(arguments: argparse.Namespace, *, one_track: bool = Fal
 def settings_of(arguments: argparse.Namespace) -> Settings:
     """Return the settings of a command that has neither detector nor readout to be changed.
 
-    Parameters
-    ----------
-    arguments : Namespace
-
     Raises
     ------
     InputError

@@ -223,15 +223,6 @@ def covariance_at(
 ) -> Covariance:
     """Return the covariances of a detector at points, which serve any number of detectors; see `analytic`.
 
-    Parameters
-    ----------
-    points : Points
-    detector : Detector
-    digitize : DigitizeSettings
-    fit : FitSettings
-    threads : int or None
-    alignment : callable or None
-
     Raises
     ------
     ValueError
@@ -264,16 +255,7 @@ def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, f
 def tracks_at(
     points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, threads: int | None = None
 ) -> tuple[Sample, Tracks]:
-    """Return the sample of points, and its tracks in a detector.
-
-    Parameters
-    ----------
-    points : Points
-    detector : Detector
-    digitize : DigitizeSettings
-    fit : FitSettings
-    threads : int or None
-    """
+    """Return the sample of points, and its tracks in a detector."""
     if fit.beam is not None:
         raise ValueError(f"fit.beam: got {fit.beam}, expected None: expected resolutions do without the beam spot")
     hits = expected_hits(detector, digitize, fit)
@@ -311,14 +293,7 @@ class ExpectedHits(NamedTuple):
 
 
 def expected_hits(detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> ExpectedHits:
-    """Return how hits of a detector are expected.
-
-    Parameters
-    ----------
-    detector : Detector
-    digitize : DigitizeSettings
-    fit : FitSettings
-    """
+    """Return how hits of a detector are expected."""
     clusterers = tuple(clusterer_of(group.readout) for group in detector.groups)
     return _hit_model(detector, clusterers, digitize.reveal_sides, fit)
 
@@ -340,13 +315,7 @@ def _hit_model(
 
 
 def with_errors_of(model: HitModel, detector: Detector) -> HitModel:
-    """Return a model with the errors that clusters have in a detector.
-
-    Parameters
-    ----------
-    model : dict
-    detector : Detector
-    """
+    """Return a model with the errors that clusters have in a detector."""
     groups = detector.groups
     errors = [_errors(group, clusterer_of(group.readout)) for group in groups]
     angles = max(values.shape[1] for one in errors for values in one)

@@ -157,12 +157,7 @@ class Source:
 
 
 def sources(detector: Detector) -> tuple[Source, ...]:
-    """Return the terms of a detector's budgets, in the order of the core.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Return the terms of a detector's budgets, in the order of the core."""
     found = [Source(f"{layer.label} {view}", layer.label, MEASUREMENT) for layer in detector.layers for view in "XV"]
     chamber = detector.drift_chamber
     if chamber is not None:

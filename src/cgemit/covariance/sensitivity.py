@@ -331,12 +331,7 @@ def _variants(detector: Detector, key: str, problems: Problems) -> Iterator[tupl
 
 
 def design_keys(detector: Contents) -> Iterator[str]:
-    """Yield the keys that `sensitivity` varies by default.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Yield the keys that `sensitivity` varies by default."""
     yield "field.bz"
     for _, layers in detector.by_kind():
         for layer in layers:

@@ -274,13 +274,7 @@ def _wire_layers(detector: Contents, layer_number: str | None) -> list[WireLayer
 
 
 def keys_of_constant(detector: Contents, name: str) -> list[tuple[str, int | None]]:
-    """Return the keys of a detector file that a constant changes, and the sheet in their list; none if it has no key.
-
-    Parameters
-    ----------
-    detector : Contents
-    name : str
-    """
+    """Return the keys of a detector file that a constant changes, and the sheet in their list; may be empty."""
     if name == FIELD_SCALE:
         return [("field.bz", None)]
     if match := _SHEET.fullmatch(name):
@@ -300,11 +294,6 @@ def value_of(detector: Contents, name: str) -> tuple[float, float, float] | None
     """Return the present value of a constant and how far it may go down and up; None if there is none.
 
     Values are in mm, rad, ns or 1. The value of several parts is their mean; that of a field its logarithm.
-
-    Parameters
-    ----------
-    detector : Contents
-    name : str
     """
     if point := _POINT.fullmatch(name):
         layers = _wire_layers(detector, point[1]) if int(point[2]) in points_of_relation(detector) else []
@@ -338,12 +327,7 @@ def _time_at(layer: WireLayer, distance: float) -> float:
 
 @once
 def points_of_relation(detector: Contents) -> tuple[int, ...]:
-    """Return the distances of the points of a relation of drift distance and time: each mm of the widest half cell.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Return the distances of the points of a relation of drift distance and time: each mm of the widest half cell."""
     half = [math.pi * one.r_end / one.cells for one in detector.wires]
     return tuple(range(1, max(int(max(half, default=0.0)), 1) + 1))
 
@@ -440,10 +424,6 @@ def pattern_at(name: str, points: Floats, size: tuple[float, float]) -> Floats:
 def rigid_parts(detector: Contents) -> dict[str, tuple[Floats, Floats]]:
     """Return points on the parts that move as a whole, and the points about which they turn, by dotted key.
 
-    Parameters
-    ----------
-    detector : Contents
-
     Returns
     -------
     dict of str to (ndarray, (n, 3) float64, and ndarray, (3,) float64), mm
@@ -532,12 +512,6 @@ def _by_ends(layer: WireLayer) -> tuple[Floats, list[Floats]]:
 def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]) -> dict[str, float]:
     """Return constants of a displaced detector; see `Detector.misaligned`.
 
-    Parameters
-    ----------
-    detector : Contents
-    seed : int
-    sizes : mapping
-
     Raises
     ------
     DetectorError
@@ -604,12 +578,7 @@ def _size(path: str, raw: object, kind: str, problems: list[Problem]) -> float:
 
 
 def displacements_of(detector: Contents) -> AlignmentTable:
-    """Return the displacements that a description has; see `Detector.displacements`.
-
-    Parameters
-    ----------
-    detector : Contents
-    """
+    """Return the displacements that a description has; see `Detector.displacements`."""
     names = [f"{path}.{key}" for path in rigid_parts(detector) for key in PLACEMENT]
     finer = [f"{one.path}.sheets.{i}.{key}" for one in detector.cgem for i in range(one.sheets) for key in _OF_SHEETS]
     finer += [f"{one.path}.{key}" for one in detector.wires for key in (*PLACEMENT, *END_SHIFT)]

@@ -20,12 +20,7 @@ R = TypeVar("R", covariant=True)
 
 @lru_cache(maxsize=64)
 def channels_of(detector: Detector) -> Channels:
-    """Return the numbers of the channels of a detector.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Return the numbers of the channels of a detector."""
     layers = detector.layers
     sheets = np.array([one.sheets for one in layers], np.int64)
     strips = np.array([(one.strips_x, one.strips_v) for one in layers], np.int64).reshape(-1, 2)

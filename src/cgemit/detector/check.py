@@ -158,10 +158,6 @@ def unreachable(detector: Contents) -> list[str]:
     """Return what part of each layer no track from the origin reaches; empty if all are reached.
 
     Straight tracks reach every point of the field's range. Tracks end at its edge.
-
-    Parameters
-    ----------
-    detector : Contents
     """
     radius, first, last = field_range(detector.field)
     paths_of: dict[str, list[str]] = {}

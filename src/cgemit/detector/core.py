@@ -42,12 +42,7 @@ class ChannelLists(NamedTuple):
 
 @once
 def wire_lists(chamber: DriftChamber) -> ChannelLists:
-    """Return the dead and the hot wires of a chamber; a wire in both lists is dead.
-
-    Parameters
-    ----------
-    chamber : DriftChamber
-    """
+    """Return the dead and the hot wires of a chamber; a wire in both lists is dead."""
     lists: dict[str, list[Ints]] = {"dead": [], "hot": []}
     for layer, gid in zip(chamber.layers, chamber.gid_first, strict=True):
         for kind, parts in lists.items():
@@ -62,12 +57,7 @@ def _lists(found: dict[str, list[Ints]]) -> ChannelLists:
 
 @lru_cache(maxsize=64)
 def strip_lists(detector: Detector) -> ChannelLists:
-    """Return the dead and the hot strips of a detector; a strip in both lists is dead, as is an X strip in a dead seam.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Return dead and hot strips of a detector; a strip in both lists is dead, as are X strips in a dead seam."""
     lists: dict[str, list[Ints]] = {"dead": [], "hot": []}
     first = 0
     for layer in detector.layers:
@@ -115,10 +105,6 @@ def in_dead_area(layer: Layer, x: Floats, z: Floats) -> npt.NDArray[np.bool_]:
 def gain_table(detector: Detector) -> dict[str, npt.NDArray[Any]]:
     """Return the gain maps of all layers as the core takes them; an empty dict if no layer has one.
 
-    Parameters
-    ----------
-    detector : Detector
-
     Returns
     -------
     dict of str to ndarray
@@ -138,10 +124,6 @@ def grid_of(layer: Layer) -> Floats:
     """Return the relative gain of a layer, (sheets, rows along z, columns along X) float64.
 
     Without a map there are no rows and columns. Grids of different shapes are repeated to the least common one.
-
-    Parameters
-    ----------
-    layer : CgemLayer
     """
     if not layer.gain_map:
         return np.ones((layer.sheets, 0, 0))
@@ -155,10 +137,6 @@ def strip_gains(detector: Detector) -> Floats:
     """Return the mean relative gain along each strip by its running number, (strips,) float64; (0,) without maps.
 
     V strips have the mean of their sheet: they cross many cells.
-
-    Parameters
-    ----------
-    detector : Detector
     """
     if not any(layer.gain_map for layer in detector.layers):
         return np.empty(0)

@@ -411,10 +411,6 @@ def card_of(detector: Contents) -> str:
     at z = 0 that measures along its stereo angle, with the matter of its gas. The cylinder is so thin that it is
     beside all others. What other layers measure by a pitch has its error. Gaps between ladders lower the efficiency.
 
-    Parameters
-    ----------
-    detector : Contents
-
     Raises
     ------
     DetectorError

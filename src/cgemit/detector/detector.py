@@ -397,12 +397,7 @@ def load(source: str | Path | Mapping[str, Any] | Detector) -> Detector:
 
 @cache
 def preset(name: str) -> Detector:
-    """Return a preset; its file does not change while the program runs.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """Return a preset; its file does not change while the program runs."""
     return _loaded(name)
 
 

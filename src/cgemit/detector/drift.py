@@ -236,10 +236,6 @@ def _error_key(layer: WireLayer) -> tuple[Any, ...]:
 def check_wire_times(detector: Contents) -> None:
     """Raise an error if a detector does not say how signals run along its wires.
 
-    Parameters
-    ----------
-    detector : Detector
-
     Raises
     ------
     ValueError

@@ -565,12 +565,7 @@ class MapField(Field):
 
 
 def field_range(detector_field: Field) -> tuple[float, float, float]:
-    """Return the radius up to which a field holds at every azimuth, and its first and last z, mm; infinite without end.
-
-    Parameters
-    ----------
-    detector_field : Field
-    """
+    """Return the radius up to which a field holds at every azimuth, and its first and last z, mm; infinite without."""
     if isinstance(detector_field, HarmonicField):
         return detector_field.r_max, -detector_field.z_max, detector_field.z_max
     if isinstance(detector_field, MapField):

@@ -130,22 +130,12 @@ def _no_file(path: Path, text: str) -> str:
 
 
 def is_preset(name: str) -> bool:
-    """Return whether a preset, or a part of presets, has this name.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """Return whether a preset, or a part of presets, has this name."""
     return _is_preset(_DETECTORS, name)
 
 
 def is_field(name: str) -> bool:
-    """Return whether a preset field has this name.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """Return whether a preset field has this name."""
     return _is_preset(_FIELDS, name)
 
 

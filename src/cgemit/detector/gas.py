@@ -382,10 +382,6 @@ def _depths(groups: Sequence[Sequence[Shell]], gap: int) -> list[float]:
 def slices(layer: Layer) -> NDArray[np.float64]:
     """Return the matter around a gap cut into slices, one row each from the gap inward, then outward.
 
-    Parameters
-    ----------
-    layer : Layer
-
     Returns
     -------
     (n, 4) float64

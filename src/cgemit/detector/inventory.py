@@ -282,13 +282,7 @@ def pt_threshold(detector: Detector) -> float:
 
 
 def occupancy(detector: Detector, background: Background) -> float:
-    """Return the largest probability of a strip to be hit within the window, %.
-
-    Parameters
-    ----------
-    detector : Detector
-    background : Background
-    """
+    """Return the largest probability of a strip to be hit within the window, %."""
     worst = 0.0
     for layer in detector.cgem:
         rate = background.rate * (background.radius / layer.r_mid) ** background.power  # kHz/cm2

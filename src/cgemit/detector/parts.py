@@ -210,12 +210,7 @@ def _of_kind(detector: Contents, kind: type[_K]) -> Labelled[_K]:
 
 @once
 def cgem_numbers(detector: Contents) -> tuple[int, ...]:
-    """Return the numbers of the CGEM layers among all layers.
-
-    Parameters
-    ----------
-    detector : Contents
-    """
+    """Return the numbers of the CGEM layers among all layers."""
     own = set(map(id, detector.cgem))
     return tuple(number for number, layer in enumerate(detector.layers) if id(layer) in own)
 

@@ -28,12 +28,7 @@ MOST_POINTS = 100
 
 
 def writable(text: str) -> bool:
-    """Return whether a file can hold a text: not with halves of surrogate pairs.
-
-    Parameters
-    ----------
-    text : str
-    """
+    """Return whether a file can hold a text: not with halves of surrogate pairs."""
     try:
         text.encode()
     except UnicodeEncodeError:

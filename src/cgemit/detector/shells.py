@@ -125,12 +125,7 @@ def _first(element: Element) -> Element:
 
 
 def row_of(shells: Sequence[Shell]) -> Row:
-    """Return the row of neighbouring shells that act as one scatterer.
-
-    Parameters
-    ----------
-    shells : sequence of Shell
-    """
+    """Return the row of neighbouring shells that act as one scatterer."""
     _, _, r_in, r_out, ends, materials = zip(*shells, strict=True)
     compiled = {id(material): _compiled(material) for material in {id(one): one for one in materials}.values()}
     radius, spread, x0, xi, log_terms, elements = _core.detector.sum_shells(

@@ -218,11 +218,6 @@ class EventView:
 def view_of(result: Result, event: int) -> EventView:
     """Return what is drawn of one event.
 
-    Parameters
-    ----------
-    result : Result
-    event : int
-
     Raises
     ------
     ValueError

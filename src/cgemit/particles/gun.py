@@ -366,13 +366,7 @@ def _check_arguments(guns: tuple[Source, ...], n_events: int, seed: int, first_e
 
 
 def only_kind(source: Source | Guns | None, particles: Table | None = None) -> int | None:
-    """Return the unsigned PDG number of all charged particles of a source, or of given ones; None if they differ.
-
-    Parameters
-    ----------
-    source : Source, Guns or None
-    particles : Table of kind "particles", or None
-    """
+    """Return the unsigned PDG number of all charged particles of a source, or of given ones; None if they differ."""
     kinds = None if source is None else source.kinds
     if particles is not None:
         kinds = frozenset(np.unique(np.abs(particles["pdg"][particles["charge"] != 0])).tolist())
@@ -384,10 +378,6 @@ def usual_momentum(source: Source | Guns | None) -> float | None:
 
     The geometric mean of the ends of a range or of the values in turn, and of several guns. With pT, at the middle of
     the polar angles.
-
-    Parameters
-    ----------
-    source : Source, Guns or None
     """
     guns = source.guns if isinstance(source, Guns) else (source,)
     if not all(isinstance(gun, Gun) for gun in guns):

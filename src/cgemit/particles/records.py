@@ -329,10 +329,6 @@ def _unpacks_to_too_much(path: Path) -> bool:
 def read_hepmc_root(path: Path) -> Record:
     """Return the events of HepMC3's tree in a ROOT file (``.hepmc3.tree.root``).
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     ParticleError
@@ -424,10 +420,6 @@ def read_edm4hep(path: Path) -> Record:
 
     Particles are those of the collection ``MCParticles``, or of the only one that has statuses of a generator.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     ParticleError
@@ -493,10 +485,6 @@ def _relation(tree: Any, collection: str) -> str | None:
 
 def kind_of_root(path: Path) -> str:
     """Return what a ROOT file holds: "hepmc", "edm4hep", "cgemit" or "other".
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------

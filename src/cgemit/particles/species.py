@@ -99,10 +99,6 @@ _BY_SPELLING |= {word: pdg for pdg, words in _SPELLINGS.items() for word in word
 def species(particle: str | int) -> Species:
     """Return the particle of a name or a PDG number: ``"mu-"``, ``"proton"``, ``"anti_proton"``, ``-211``, ``"13"``.
 
-    Parameters
-    ----------
-    particle : str or int
-
     Raises
     ------
     WrongValueError
@@ -127,10 +123,6 @@ def species(particle: str | int) -> Species:
 def hypothesis_of(name: str) -> Species:
     """Return the particle of a mass hypothesis: a name of `HYPOTHESES`, or of another charged particle.
 
-    Parameters
-    ----------
-    name : str
-
     Raises
     ------
     WrongValueError
@@ -152,12 +144,7 @@ def is_hypothesis(name: str) -> bool:
 
 
 def hypothesis_name(pdg: int) -> str:
-    """Return the name of the hypothesis of a PDG number, unsigned or not; the number itself of unknown particles.
-
-    Parameters
-    ----------
-    pdg : int
-    """
+    """Return the name of the hypothesis of a PDG number, unsigned or not; the number itself of unknown particles."""
     names = {kind.pdg: name for name, kind in HYPOTHESES.items()}
     number = abs(pdg)
     return names.get(number) or (KNOWN[number].name if number in KNOWN else str(number))
@@ -188,10 +175,6 @@ def charge_of(pdg: int) -> int | None:
     The numbering scheme of the Particle Data Group ("Monte Carlo Particle Numbering Scheme", Phys. Rev. D 110, 030001
     (2024)) tells the charge of nuclei, of mesons and baryons by their quarks, of fundamental particles and of their
     supersymmetric and excited partners. Quarks and diquarks have none that is whole.
-
-    Parameters
-    ----------
-    pdg : int
     """
     if pdg in KNOWN:
         return KNOWN[pdg].charge
@@ -232,10 +215,6 @@ def nuclear_mass(pdg: int) -> float:
 
     Hydrogen and listed nuclei have their measured masses, others that of Weizsaecker's formula (within 0.1 % from
     A = 12 on; the binding of hyperons is left out).
-
-    Parameters
-    ----------
-    pdg : int
     """
     unsigned = abs(pdg)
     if unsigned in KNOWN:
@@ -252,12 +231,7 @@ def nuclear_mass(pdg: int) -> float:
 
 
 def usual_mass(pdg: int) -> float:
-    """Return the mass of a listed particle or a nucleus, GeV/c2; NaN of other numbers.
-
-    Parameters
-    ----------
-    pdg : int
-    """
+    """Return the mass of a listed particle or a nucleus, GeV/c2; NaN of other numbers."""
     if pdg in KNOWN:
         return KNOWN[pdg].mass
     return nuclear_mass(pdg) if is_nucleus(pdg) else math.nan

@@ -176,12 +176,7 @@ def _checked_charges(charges: Mapping[int, int] | None) -> Mapping[int, int]:
 
 
 def not_transported(columns: Any) -> npt.NDArray[np.int8]:
-    """Return the `TransportStatus` (n,) of charged particles that the simulation does not transport; 0 for others.
-
-    Parameters
-    ----------
-    columns : Table or mapping of str to ndarray
-    """
+    """Return the `TransportStatus` (n,) of charged particles that the simulation does not transport; 0 for others."""
     p = [np.abs(columns[f"p{axis}"]) for axis in "xyz"]
     reach = np.max([np.abs(columns[axis]) for axis in "xyz"], axis=0)
     out = (reach > FARTHEST) | (np.max(p, axis=0) > FASTEST)
@@ -431,10 +426,6 @@ def _from_lists(source: Any, n_events: int | None) -> tuple[dict[str, Array], in
 
 def check_particles(particles: Table) -> None:
     """Raise an error for a table of particles with invalid values.
-
-    Parameters
-    ----------
-    particles : Table of kind "particles"
 
     Raises
     ------

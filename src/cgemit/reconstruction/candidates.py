@@ -242,12 +242,6 @@ FOUND, MAY_FIND = ("candidates", "candidate_hits"), "searches"
 def by_finder(finder: Finder, detector: Detector, clusters: Table, wire_hits: Table) -> dict[str, Table]:
     """Return the tables that a finder makes.
 
-    Parameters
-    ----------
-    finder : callable
-    detector : Detector
-    clusters, wire_hits : Table
-
     Returns
     -------
     dict of str to Table

@@ -44,10 +44,6 @@ CLUSTERERS: dict[type[Readout], type[Clusterer]] = {
 def clusterer_of(readout: Readout) -> Clusterer:
     """Return the clusterer of a readout.
 
-    Parameters
-    ----------
-    readout : Readout
-
     Raises
     ------
     ValueError
@@ -58,10 +54,6 @@ def clusterer_of(readout: Readout) -> Clusterer:
 
 def charge_clusterer(readout: ChargeReadout) -> ChargeClusterer:
     """Return the clusterer of a readout that measures charge.
-
-    Parameters
-    ----------
-    readout : ChargeReadout
 
     Raises
     ------
@@ -79,12 +71,7 @@ _LOSS_OF_A_WARNING = 0.01
 
 
 def warn_of_losses(detector: Detector) -> None:
-    """Warn of layers whose gaps are so thin that crossings have no clusters for lack of electrons.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Warn of layers whose gaps are so thin that crossings have no clusters for lack of electrons."""
     lost = [(layer, most_lost(layer)) for layer in detector.cgem]
     thin = [
         f"{layer.label} {loss:.0%} (drift_gap {layer.drift_gap:g} mm)"

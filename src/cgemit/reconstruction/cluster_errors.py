@@ -57,10 +57,6 @@ def _of_package() -> dict[str, ChipErrors]:
 def chip_errors(name: str) -> ChipErrors:
     """Return the factors of a readout of the package.
 
-    Parameters
-    ----------
-    name : str
-
     Raises
     ------
     ValueError
@@ -73,10 +69,6 @@ def chip_errors(name: str) -> ChipErrors:
 
 def errors_of(readout: ChargeReadout) -> ChipErrors:
     """Return the factors of a readout: its own, or those of the readout of the package that it extends.
-
-    Parameters
-    ----------
-    readout : ChargeReadout
 
     Raises
     ------
@@ -439,10 +431,6 @@ class ErrorFactors(Shown, Tabular):
 
 def read_error_factors(path: str) -> ErrorFactors:
     """Read the table that `ErrorFactors.save` writes.
-
-    Parameters
-    ----------
-    path : str
 
     Raises
     ------

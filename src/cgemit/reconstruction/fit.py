@@ -367,15 +367,7 @@ def fit_columns(
     detector: Detector, clusters: Table, wire_hits: Table, candidates: Table, candidate_hits: Table,
     settings: FitSettings, start: npt.ArrayLike | None = None,
 ) -> FittedColumns:  # fmt: skip
-    """Return what the core makes of the hits of every candidate; see `fit`.
-
-    Parameters
-    ----------
-    detector : Detector
-    clusters, wire_hits, candidates, candidate_hits : Table
-    settings : FitSettings
-    start : array_like or None
-    """
+    """Return what the core makes of the hits of every candidate; see `fit`."""
     core = compiled_matter(detector, settings)
     hits = collect_hits(core, candidates, candidate_hits, clusters, wire_hits)
     names = settings.hypotheses()
@@ -420,13 +412,7 @@ def compiled_for_fit(
 
 
 def compiled_matter(detector: Detector, settings: FitSettings) -> _core.detector.Detector:
-    """Return the compiled detector with the matter that the fit assumes for tracks from the beam line.
-
-    Parameters
-    ----------
-    detector : Detector
-    settings : FitSettings
-    """
+    """Return the compiled detector with the matter that the fit assumes for tracks from the beam line."""
     return tuned(
         detector, settings.screening or SCREENINGS[0], settings.loss, settings.radiation, matter=settings.matter,
         momentum_error=settings.momentum_error,

@@ -97,16 +97,6 @@ def turns(
 
     The number of turns is fixed: hits that stop moving cannot end them, since events of one chunk would then depend
     on each other.
-
-    Parameters
-    ----------
-    detector : Detector
-    measured : Hits
-    finder : callable
-    settings : FitSettings
-    refinements : sequence of Refinement
-    find_again : bool
-    compete : bool
     """
     last = max((one.turns for one in refinements), default=1) - 1 + (find_again and bool(refinements))
     single = settings.hypothesis if len(settings.hypotheses()) == 1 else None

@@ -103,12 +103,7 @@ class Hits:
     digis: Table | None = None
 
     def refined(self, measured: Hits) -> dict[str, Table]:
-        """Return the tables ``refined_clusters`` and ``refined_wire_hits``, where they differ from the measured ones.
-
-        Parameters
-        ----------
-        measured : Hits
-        """
+        """Return the tables ``refined_clusters`` and ``refined_wire_hits``, where they differ from measured ones."""
         pairs = {name: (getattr(self, name), getattr(measured, name)) for name in ("clusters", "wire_hits")}
         return {
             f"refined_{name}": Table(f"refined_{name}", refined.columns, meta=refined.meta, **refined.cover)

@@ -183,11 +183,6 @@ def from_start(digis: Table, times: Table) -> Table:
 def arrivals_of(detector: Detector, digis: Table) -> Arrivals:
     """Return when the charge of strips arrived, if their event began at 0.
 
-    Parameters
-    ----------
-    detector : Detector
-    digis : Table
-
     Raises
     ------
     ValueError

@@ -98,11 +98,6 @@ class BackgroundSettings(SettingsData):
 def level_of(detector: Detector, settings: BackgroundSettings) -> BackgroundLevel | None:
     """Return the level that settings ask for; None for ``"off"``.
 
-    Parameters
-    ----------
-    detector : Detector
-    settings : BackgroundSettings
-
     Raises
     ------
     ValueError
@@ -191,12 +186,6 @@ def read_out(level: BackgroundLevel, digis: Table, wire_hits: Table, seed: int) 
 
     Rows without a truth are noise or other events, whose rates are those of what is read out: they stay. Positions
     measured without strips have the efficiency of their view.
-
-    Parameters
-    ----------
-    level : BackgroundLevel
-    digis, wire_hits : Table
-    seed : int
     """
 
     def drawn(table: Table, place: Channels, purpose: _core.common.Purpose) -> Floats:

@@ -97,13 +97,7 @@ def _columns(names: tuple[str, str, str], points: Floats) -> dict[str, Floats]:
 
 
 def true_delay(detector: Detector, wire_truths: Table) -> Floats:
-    """Return flight and propagation of crossings of cells, (n,) float64, ns.
-
-    Parameters
-    ----------
-    detector : Detector
-    wire_truths : Table
-    """
+    """Return flight and propagation of crossings of cells, (n,) float64, ns."""
     delay = wire_truths["time"] + propagation_time(detector, wire_truths["layer"], wire_truths["z"])
     return np.asarray(delay, np.float64)
 
@@ -145,12 +139,7 @@ class DigitizeSettings(SettingsData):
 
 
 def digitizer_of(readout: Readout) -> Digitizer:
-    """Return the digitizer of a readout.
-
-    Parameters
-    ----------
-    readout : Readout
-    """
+    """Return the digitizer of a readout."""
     return part_of(readout, DIGITIZERS)(readout)
 
 
@@ -269,13 +258,7 @@ def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table
 
 
 def without_dead(detector: Detector, digis: Table) -> Table:
-    """Drop the digis of dead strips.
-
-    Parameters
-    ----------
-    detector : Detector
-    digis : Table
-    """
+    """Drop the digis of dead strips."""
     dead = strip_lists(detector).dead
     if not len(dead):
         return digis
@@ -286,13 +269,7 @@ def without_dead(detector: Detector, digis: Table) -> Table:
 
 
 def without_dead_wires(detector: Detector, wire_hits: Table) -> Table:
-    """Drop the hits of dead wires.
-
-    Parameters
-    ----------
-    detector : Detector
-    wire_hits : Table
-    """
+    """Drop the hits of dead wires."""
     dead = wire_lists(detector.drift_chamber).dead if detector.drift_chamber else ()
     return wire_hits[~np.isin(wire_hits["gid"], dead)] if len(dead) else wire_hits
 

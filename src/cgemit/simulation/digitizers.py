@@ -126,10 +126,6 @@ class AnalogDigitizer(Digitizer):
     def core_arguments(self, group: ReadoutGroup) -> dict[str, Any]:
         """Return the arguments of the compiled digitization by name, except tables, seed and gains.
 
-        Parameters
-        ----------
-        group : ReadoutGroup
-
         Raises
         ------
         ValueError

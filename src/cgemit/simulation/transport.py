@@ -134,13 +134,6 @@ def simulate(
 def transport(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Table]:
     """Return what `simulate` does, for valid particles: those of a gun, or those that are checked already.
 
-    Parameters
-    ----------
-    detector : Detector
-    particles : Table of kind "particles"
-    settings : SimulateSettings
-    seed : int
-
     Returns
     -------
     dict of str to Table
@@ -173,13 +166,6 @@ def _of_particles(particles: Table, rows: Mapping[str, Any], name: str) -> Any:
 
 def core_arguments(detector: Detector, particles: Table, settings: SimulateSettings, seed: int) -> dict[str, Any]:
     """Return the arguments of the compiled simulation.
-
-    Parameters
-    ----------
-    detector : Detector
-    particles : Table of kind "particles"
-    settings : SimulateSettings
-    seed : int
 
     Returns
     -------

@@ -154,10 +154,6 @@ def belle2(of: CandidateCounts) -> Statuses:
 
     A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's measurements. With fewer
     it is a decay product's if most of these hits are those of daughters.
-
-    Parameters
-    ----------
-    of : CandidateCounts
     """
     own = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & (of.hits > 0)
     enough = (20 * of.found >= of.left) & ~((of.found == 0) & _daughters(of)) | _loops(of)
@@ -170,10 +166,6 @@ def acts(of: CandidateCounts) -> Statuses:
     """Return the `MatchStatus` of each candidate by the definition of ACTS, (candidates,) int8.
 
     A candidate is of a particle that left half of its hits.
-
-    Parameters
-    ----------
-    of : CandidateCounts
     """
     return _classes(of, (of.particle >= 0) & (2 * of.of_particle >= of.hits) & (of.hits > 0))
 
@@ -403,10 +395,5 @@ def counts_left_out(
 
 
 def joined(tracks: Table, matches: Table) -> Table:
-    """Return the tracks with the columns of their matches.
-
-    Parameters
-    ----------
-    tracks, matches : Table
-    """
+    """Return the tracks with the columns of their matches."""
     return tracks.with_columns(**{name: matches[name] for name in matches if name not in ("event", "track")})

@@ -13,12 +13,7 @@ from cgemit.tables import Table
 
 
 def have_flown(particles: Table) -> Any:
-    """Return which particles may have left hits, (n,) bool: charged ones that the simulation transports.
-
-    Parameters
-    ----------
-    particles : Table of kind "particles"
-    """
+    """Return which particles may have left hits, (n,) bool: charged ones that the simulation transports."""
     return (particles["charge"] != 0) & (particles["status"] < _core.common.TransportStatus.at_rest)
 
 

@@ -135,12 +135,7 @@ _LEVELS = {"tiger": 0.0, "apv25": 0.5}
 
 
 def chip_arguments(readout: AnalogReadout) -> dict[str, Any]:
-    """Return what the core takes of the chip of a readout, by name.
-
-    Parameters
-    ----------
-    readout : AnalogReadout
-    """
+    """Return what the core takes of the chip of a readout, by name."""
     chip = readout.chip
     return {
         "kind": chip.kind,

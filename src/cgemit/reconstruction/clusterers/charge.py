@@ -49,10 +49,6 @@ class ChargeClusterer(Clusterer):
     def strip_rules(self, group: ReadoutGroup) -> dict[str, Any]:
         """Return how strips with charge and time become clusters, as arguments of the core.
 
-        Parameters
-        ----------
-        group : ReadoutGroup
-
         Returns
         -------
         dict

@@ -154,12 +154,6 @@ def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -
 
     Segments need X and V in two layers with one between them at most, circles as many layers across the beam as
     where no cell fires by chance and two along it. Without axial wires, a circle of each stereo sign makes a seed, too.
-
-    Parameters
-    ----------
-    detector : Detector
-    layers : SeedLayers
-    settings : FindSettings
     """
     points = layers.points
     pairs = np.array(_core.reconstruction.segment_pairs(compiled(detector)), np.int64).reshape(-1, 2)
@@ -186,11 +180,6 @@ def _view_layers(detector: Detector, settings: FindSettings) -> Column | None:
 
 def seedless(detector: Detector, settings: FindSettings | None = None) -> str:
     """Return in which layers of a detector no track of `find_tracks` can begin, as text; empty if all make seeds.
-
-    Parameters
-    ----------
-    detector : Detector
-    settings : FindSettings or None
 
     Returns
     -------
@@ -234,25 +223,14 @@ _NOWHERE = "no track can begin"
 
 
 def warn_of_no_seeds(detector: Detector, settings: FindSettings) -> None:
-    """Warn if no track can begin in any layers of a detector.
-
-    Parameters
-    ----------
-    detector : Detector
-    settings : FindSettings
-    """
+    """Warn if no track can begin in any layers of a detector."""
     text = seedless(detector, settings)
     if text.startswith(_NOWHERE):
         warnings.warn(f"{detector.name}: finder ckf: {text}", stacklevel=3)
 
 
 def wire_layers(detector: Detector) -> tuple[WireLayer, ...]:
-    """Return the layers of the drift chamber; none without one.
-
-    Parameters
-    ----------
-    detector : Detector
-    """
+    """Return the layers of the drift chamber; none without one."""
     return detector.drift_chamber.layers if detector.drift_chamber else ()
 
 
