@@ -2,44 +2,47 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import enum
 import importlib
 import inspect
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 PACKAGES = ("cgemit", "cgemit.detector", "cgemit.tables", "cgemit.study", "cgemit.draw")
-MODULES = (
-    "helix",
-    "particles.table",
-    "reconstruction.candidates",
-    "reconstruction.cluster",
-    "reconstruction.find.ckf",
-    "reconstruction.find.loops",
-    "simulation.digitize",
-    "simulation.transport",
-    "truth.assign",
-    "truth.finder",
-    "truth.match",
-    "truth.origins",
-)
+ROOT = Path(__file__).parents[2]
+
+
+def listed() -> list[str]:
+    """List the full names that the reference of the site documents."""
+    return [
+        name
+        for page in sorted((ROOT / "docs" / "reference").glob("*.md"))
+        for name in re.findall(r"^\.\. auto\w+:: (\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+
+
+def exported() -> list[str]:
+    """List the full names that the packages of users hold."""
+    modules = {name: importlib.import_module(name) for name in PACKAGES}
+    return [f"{name}.{item}" for name, m in modules.items() for item in getattr(m, "__all__", None) or own_names(m)]
 
 
 def public() -> dict[str, Any]:
     """Collect classes, their methods and functions that users can reach, by full name."""
-    found: dict[str, Any] = {}
-    for name in (*PACKAGES, *(f"cgemit.{module}" for module in MODULES)):
-        module = importlib.import_module(name)
-        for item in getattr(module, "__all__", None) or own_names(module):
-            thing = getattr(module, item)
-            if inspect.isfunction(inspect.unwrap(thing)) or inspect.isclass(thing):
-                found[f"{thing.__module__}.{thing.__qualname__}"] = thing
-            if inspect.isclass(thing) and thing.__module__.startswith("cgemit"):
-                methods = {n: m for n, m in vars(thing).items() if not n.startswith("_") and inspect.isfunction(m)}
-                found |= {f"{m.__module__}.{m.__qualname__}": m for m in methods.values()}
-    return {name: thing for name, thing in found.items() if name.startswith("cgemit") and "_core" not in name}
+    things: dict[str, Any] = {}
+    for name in (*exported(), *listed()):
+        module, _, item = name.rpartition(".")
+        thing = getattr(importlib.import_module(module), item)
+        if inspect.isfunction(inspect.unwrap(thing)) or inspect.isclass(thing):
+            things[f"{thing.__module__}.{thing.__qualname__}"] = thing
+        if inspect.isclass(thing) and thing.__module__.startswith("cgemit"):
+            methods = {n: m for n, m in vars(thing).items() if not n.startswith("_") and inspect.isfunction(m)}
+            things |= {f"{m.__module__}.{m.__qualname__}": m for m in methods.values()}
+    return {name: thing for name, thing in things.items() if name.startswith("cgemit") and "_core" not in name}
 
 
 def own_names(module: Any) -> list[str]:
@@ -90,6 +93,25 @@ def test_docstrings_name_every_parameter() -> None:
     things = public()
     assert len(things) > 100
     assert not {name: found for name, thing in things.items() if (found := problems(thing))}
+
+
+def stale_names(source: str) -> dict[str, set[str]]:
+    """Return the parameters that docstrings of a module explain, and that the functions do not have."""
+    functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    explained = {node: names_in(ast.get_docstring(node) or "", "Parameters") for node in functions}
+    have = {node: {one.arg for one in ast.walk(node.args) if isinstance(one, ast.arg)} for node in functions}
+    return {node.name: stale for node in functions if (stale := explained[node] - have[node])}
+
+
+def test_no_docstring_explains_what_is_not_there() -> None:
+    """Functions that users do not reach, too: they need no list of parameters, but none may be wrong."""
+    modules = {path: path.read_text(encoding="utf-8") for path in (ROOT / "src" / "cgemit").rglob("*.py")}
+    assert not {path.name: stale for path, source in modules.items() if (stale := stale_names(source))}
+    assert len(modules) > 100
+    source = (
+        'def f(a: int, *b: int) -> None:\n    """Do.\n\n    Parameters\n    ----------\n    a, *b, c : int\n    """'
+    )
+    assert stale_names(source) == {"f": {"c"}}
 
 
 def test_a_wrong_docstring_is_seen() -> None:
