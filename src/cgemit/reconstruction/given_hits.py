@@ -418,15 +418,13 @@ def _cluster_columns(detector: Detector, named: Columns, settings: ClusterSettin
     n = len(named["layer"])
     has = named.keys()
     if n and "view" not in has and not {"phi", "z"} <= has:
-        problems.append(
-            "clusters: got neither view nor phi and z; expected points (phi, z) or views with x, v or strips"
-        )
+        problems.note("clusters", "neither view nor phi and z", "points (phi, z) or views with x, v or strips")
     columns = dict(named)
     view = columns["view"] = named.get("view", np.full(n, XV_CLUSTER))
     if np.any(view == XV_CLUSTER) and not ({"err_phi", "err_z"} <= has or {"err_x", "err_v"} <= has or "cov" in has):
-        problems.append("clusters: got points without errors; expected err_phi and err_z, cov, or err_x and err_v")
+        problems.note("clusters", "points without errors", "err_phi and err_z, cov, or err_x and err_v")
     if n and not detector.layers:
-        problems.append(f"clusters: got {n} rows; expected none, {detector.name} has no layers of clusters")
+        problems.note("clusters", f"{n} rows", f"none, {detector.name} has no layers of clusters")
     if problems:
         return columns
     nan = np.full(n, np.nan)
@@ -463,9 +461,8 @@ def _sheets(detector: Detector, columns: Columns, has_sheet: bool, problems: Pro
         if layer.sheets == 1 or not len(rows):
             continue
         if np.any(columns["view"][rows] != XV_CLUSTER):
-            problems.append(
-                f"clusters: sheet: missing; expected it where a layer has {layer.sheets}, as layer {layer_number}"
-            )
+            text = f"missing; expected it where a layer has {layer.sheets}, as layer {layer_number}"
+            problems.note("clusters: sheet", text, "")
         edge = np.remainder(layer.sheet_phi[1] - layer.sheet_phi[0], 2 * np.pi)
         sheet[rows] = around >= edge
     return sheet

@@ -262,10 +262,10 @@ def test_one_kind_of_hits_alone(run):
                 "clusters row 2: view: got -1, expected 0",
             ],
         ),
-        ({"layer": [0, 1], "phi": [1.0]}, None, ["clusters: phi: got float64, shape (1,); expected 2 numbers"]),
+        ({"layer": [0, 1], "phi": [1.0]}, None, ["clusters: phi: got float64, shape (1,), expected 2 numbers"]),
         ({"layer": [0.5], "phi": [1.0], "z": [1.0]}, None, ["clusters row 0: layer: got 0.5, expected a whole number"]),
         ({"layer": [0], "x": [1.0]}, None, ["got neither view nor phi and z"]),
-        ({"layer": [0], "phi": [1.0], "z": [0.0]}, None, ["clusters: got points without errors; expected err_phi and"]),
+        ({"layer": [0], "phi": [1.0], "z": [0.0]}, None, ["clusters: got points without errors, expected err_phi and"]),
         ({"layer": [0], "view": [3]}, None, ["clusters row 0: view: got 3, expected 0 (X), 1 (V) or 2 (XV)"]),
         (
             {"layer": [0, 9], "phi": [1.0, 1.0], "z": [0.0, 0.0], "err_phi": [0.0, 1e-3], "err_z": [-1.0, 1.0]},
@@ -334,7 +334,7 @@ def test_one_kind_of_hits_alone(run):
                 "wire_hits row 0: drift: got inf",
             ],
         ),
-        ({"layer": [0], "phi": [[1.0, 2.0]], "z": [0.0]}, None, ["clusters: phi: got float64, shape (1, 2); expected"]),
+        ({"layer": [0], "phi": [[1.0, 2.0]], "z": [0.0]}, None, ["clusters: phi: got float64, shape (1, 2), expected"]),
         (
             {"layer": [0], "phi": [1.0], "z": [0.0], "err_phi": [1e-3], "err_z": [1.0], "candidate": [1]},
             {"layer": [8], "wire": [1], "drift": [1.0]},
