@@ -9,8 +9,17 @@ from typing import Any
 
 from cgemit.base.errors import shown
 from cgemit.detector.keys import CELLS, UNUSABLE, Key, Known, keys_of
-from cgemit.detector.layers.wires import DriftChamber, Superlayer, WireLayer
-from cgemit.detector.reader import FOR_ALL_LAYERS, GENERATED, LAST_WIRE_LAYER, OF_LISTS, WIRE_NUMBER, Reader, unusable
+from cgemit.detector.layers.wires import (
+    FOR_ALL_LAYERS,
+    GENERATED,
+    LAST_WIRE_LAYER,
+    OF_ENDS,
+    WIRE_NUMBER,
+    DriftChamber,
+    Superlayer,
+    WireLayer,
+)
+from cgemit.detector.reader import OF_LISTS, Reader, unusable
 from cgemit.units import NATIVE
 
 # More than any detector has: a mistake, or meant to exhaust the memory.
@@ -30,7 +39,7 @@ def read_chamber(reader: Reader, raw: object) -> DriftChamber | None:
     groups = reader.mapping("drift_chamber.superlayers", tables.pop("superlayers", {}))
     generated = tables.pop(GENERATED, False)
     # Values for all layers are read once, so that a mistake in one is reported once.
-    for_all = (*FOR_ALL_LAYERS, "half_length", "z_min", "z_max") if "superlayers" in raw else FOR_ALL_LAYERS
+    for_all = (*FOR_ALL_LAYERS, *OF_ENDS) if "superlayers" in raw else FOR_ALL_LAYERS
     keys = {name: keys_of(WireLayer)[name] for name in for_all}
     common = {
         name: reader.value(f"drift_chamber.{name}", tables.pop(name), key)

@@ -21,6 +21,9 @@ from cgemit.detector.keys import CELLS, CENTRED, Key, Known, default, file_keys,
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer
 from cgemit.detector.layers.layer import STRIPS, SubLayer, strip_text
 from cgemit.detector.layers.wires import (
+    FOR_ALL_LAYERS,
+    GENERATED,
+    WIRE_NUMBER,
     WIRES,
     CellWire,
     DriftChamber,
@@ -33,15 +36,7 @@ from cgemit.detector.layers.wires import (
 from cgemit.detector.material import DensityEffect, Material, elements
 from cgemit.detector.matter import slabs
 from cgemit.detector.parts import BackgroundLevel, Contents, Cylinder, RatePoint, extent
-from cgemit.detector.reader import (
-    FOR_ALL_LAYERS,
-    GENERATED,
-    MOST_POINTS,
-    NAME,
-    OF_LISTS,
-    TOP_LEVEL,
-    WIRE_NUMBER,
-)
+from cgemit.detector.reader import MOST_POINTS, NAME, OF_LISTS, TOP_LEVEL
 from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.detector.shells import ENDLESS, Shell, Slab
 from cgemit.units import NATIVE, format_quantity, units_of

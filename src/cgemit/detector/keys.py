@@ -179,6 +179,19 @@ def _opened(part: Part) -> dict[str, Known]:
     return {name: Known(getattr(part, name)) for name in keys_of(kind)}
 
 
+def table_in(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the table of a name among others; an empty one if there is none."""
+    table = tree.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def open_table(tables: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a table of others, opened if it is a part that was read before; an empty one if there is none."""
+    if name in tables:
+        tables[name] = opened(tables[name])
+    return table_in(tables, name)
+
+
 @cache
 def keys_of(kind: Any) -> dict[str, Key]:
     """Return the keys of a dataclass by name, as the classes first state them: those of settings by their annotations.

@@ -11,15 +11,28 @@ from typing import Any
 from cgemit.base.errors import DetectorError, Problem, Problems, did_you_mean, joined, shown
 from cgemit.base.validate import NO, entries
 from cgemit.detector.field import MIRRORS
-from cgemit.detector.keys import CELLS, CENTRED, UNUSABLE, Key, Known, file_keys, keys_of, opened, plain, required_of
+from cgemit.detector.keys import (
+    CELLS,
+    CENTRED,
+    UNUSABLE,
+    Key,
+    Known,
+    file_keys,
+    keys_of,
+    open_table,
+    opened,
+    plain,
+    required_of,
+    table_in,
+)
 from cgemit.detector.layers import LAYER_KINDS, CgemLayer, Layer
 from cgemit.detector.layers.layer import STRIPS, SubLayer
-from cgemit.detector.layers.wires import WIRES, CellWire, DriftPoint, ErrorPoint
+from cgemit.detector.layers.wires import WIRES, CellWire, DriftChamber, DriftPoint, ErrorPoint
 from cgemit.detector.material import DensityEffect, Material, elements, fractions_of_formula
 from cgemit.detector.parts import RatePoint
 from cgemit.detector.readouts import READOUTS, Readout
 from cgemit.detector.shells import Bounded
-from cgemit.units import NATIVE, parse_quantity
+from cgemit.units import NATIVE
 
 #: Kinds of lists of values, and of the values.
 OF_LISTS = {"angles": "angle", "lengths": "length"}
@@ -59,10 +72,6 @@ _NOT_IN_NAMES = r"/\\\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2
 
 #: What a name must match: one line of at most 100 characters, not only blanks and dots, without separators of paths.
 NAME = rf"(?=.{{1,100}}$)[^{_NOT_IN_NAMES}]*[^{_NOT_IN_NAMES}\s.][^{_NOT_IN_NAMES}]*"
-
-#: What the label of a wire layer must match, and its largest number.
-WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
-
 
 #: Values that were read before and may have changed: materials, and stacks of them.
 _CHANGES = (Material, tuple)
@@ -439,23 +448,6 @@ def _label_hint(path: str, siblings: Iterable[str]) -> str:
 #: Key of the material that a material of a variant replaces.
 BELOW = "<below>"
 
-#: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
-#: replaces the listed values of the base's layers.
-FOR_ALL_LAYERS = {
-    "sigma": ("sigma", "sigma_slope", "sigma_points"),
-    "sigma_slope": ("sigma_slope", "sigma_points"),
-    "sigma_points": ("sigma_points", "sigma", "sigma_slope"),
-    "diffusion": ("diffusion",),
-    "efficiency": ("efficiency",),
-    "wire_x0": ("wire_x0", "cell_wires"),
-    "cell_wires": ("cell_wires", "wire_x0"),
-    "signal_speed": ("signal_speed",),
-    "readout_end": ("readout_end",),
-    "drift_relation": ("drift_relation", "drift_velocity"),
-    "drift_velocity": ("drift_velocity", "drift_relation"),
-    "t0": ("t0",),
-}
-
 
 def _owner(key: str, cls: Any, known: Mapping[str, Any]) -> str:
     """Return which other readouts have a key; an empty text if none has."""
@@ -525,15 +517,11 @@ def _is_other(raw: Any) -> bool:
 def spread_readout(tables: dict[str, Any]) -> None:
     """Lay the readout of each CGEM layer of a file over that of the top level, which holds for those without."""
     if "readout" in tables and _is_known(tables["readout"]):
-        for label in (layers := _tables(tables, "cgem")):
+        for label in (layers := table_in(tables, "cgem")):
             layer = opened(layers[label])
             if isinstance(layer, Mapping) and "like" not in layer:
                 own, top = layer.get("readout"), tables["readout"]
                 layers[label] = {**layer, "readout": top if own is None else laid_readout(top, own)}
-
-
-#: Key of a drift chamber whose layers have been made of its superlayers.
-GENERATED = "<generated>"
 
 
 def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:
@@ -544,24 +532,24 @@ def merged(base: Mapping[str, Any], variant: Mapping[str, Any], problems: list[P
     """
     copies: dict[str, dict[str, Any]] = {}
     for group in LAYER_KINDS:
-        copies[group] = {label: layer for label, layer in _tables(variant, group).items() if _has_like(layer)}
+        copies[group] = {label: layer for label, layer in table_in(variant, group).items() if _has_like(layer)}
         if copies[group]:
             variant = {**variant, group: {k: v for k, v in variant[group].items() if k not in copies[group]}}
     result: dict[str, Any] = _copied(base, open_parts="materials" in variant)
     _remove(result, variant.get("remove", []), problems)
     variant = _lay_readout(result, variant)
     for group, kind in LAYER_KINDS.items():
-        for label, layer in _tables(variant, group).items():
+        for label, layer in table_in(variant, group).items():
             if isinstance(layer, Mapping):
-                _lay_own_readout(_open(_tables(result, group), label), layer)
-                kind.drop_replaced(_open(_tables(result, group), label), layer)
-                _lay_ends(_open(_tables(result, group), label), layer, *kind.short_form)
+                _lay_own_readout(open_table(table_in(result, group), label), layer)
+                kind.drop_replaced(open_table(table_in(result, group), label), layer)
+                kind.drop_ends(open_table(table_in(result, group), label), layer)
     for group in ("beam_pipe", "walls"):
-        for label, part_changes in _tables(variant, group).items():
+        for label, part_changes in table_in(variant, group).items():
             if isinstance(part_changes, Mapping):
-                _lay_ends(_open(_tables(result, group), label), part_changes, *Bounded.short_form)
-    _drop_field(result, _tables(variant, "field"))
-    _drop_wires(_tables(result, "drift_chamber"), variant)
+                Bounded.drop_ends(open_table(table_in(result, group), label), part_changes)
+    _drop_field(result, table_in(variant, "field"))
+    DriftChamber.drop_replaced(table_in(result, "drift_chamber"), variant)
     _lay_over(result, {k: v for k, v in variant.items() if k not in ("remove", "base")}, "")
     for group, layers in copies.items():
         for label, layer in layers.items():
@@ -575,7 +563,7 @@ def _lay_readout(base: dict[str, Any], variant: Mapping[str, Any]) -> Mapping[st
     What is left of the variant is returned. The top level of the result is for layers that the base does not have.
     """
     spread_readout(base)
-    layers = _tables(base, "cgem")
+    layers = table_in(base, "cgem")
     if "readout" not in variant or not _is_known(variant["readout"]) or not layers:
         return variant  # it is noted once, where it is read
     for label in layers:
@@ -601,13 +589,6 @@ def _copied(tree: Any, *, open_parts: bool = False) -> Any:
     return opened(tree) if open_parts else tree
 
 
-def _open(tables: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return a table of others, opened if it is a part that was read before; an empty one if it is none."""
-    if name in tables:
-        tables[name] = opened(tables[name])
-    return _tables(tables, name)
-
-
 def _has_like(layer: object) -> bool:
     return isinstance(layer, Mapping) and "like" in layer
 
@@ -626,7 +607,7 @@ def _copy_layer(
     own_changes = {name: value for name, value in changes.items() if name != "like"}
     _lay_own_readout(layer, own_changes)
     LAYER_KINDS[group].drop_replaced(layer, own_changes)
-    _lay_ends(layer, own_changes, *LAYER_KINDS[group].short_form)
+    LAYER_KINDS[group].drop_ends(layer, own_changes)
     _lay_over(layer, own_changes, label)
     layers[label] = layer
 
@@ -646,73 +627,11 @@ def set_path(tree: dict[str, Any], dotted: str, value: object) -> bool:
     return True
 
 
-def _tables(tree: Mapping[str, Any], name: str) -> dict[str, Any]:
-    found = tree.get(name)
-    return found if isinstance(found, dict) else {}
-
-
-def _lay_ends(base: dict[str, Any], variant: Mapping[str, Any], short: str, share: float) -> None:
-    """Remove the ends of a base that a variant replaces; the short form of the base stands for the other end."""
-    if short in variant:
-        base.pop("z_min", None)
-        base.pop("z_max", None)
-    elif ("z_min" in variant or "z_max" in variant) and short in base:
-        old = plain(base[short])
-        try:
-            half = 0.5 / share * (parse_quantity(old, "length") if isinstance(old, str) else old)
-        except (TypeError, ValueError):
-            return  # it is noted where it is read
-        del base[short]
-        if plain(base.get("z_min")) is None:
-            base |= {"z_min": Known(-half), "z_max": Known(half)}
-
-
-#: Keys of the ends of wires.
-_ENDS = ("half_length", "z_min", "z_max")
-
-
-def _drop_wires(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
-    """Remove the values of the base's layers that the variant replaces; all layers if it changes superlayers."""
-    changes, superlayers = _tables(variant, "drift_chamber"), _tables(chamber, "superlayers")
-    for name in FOR_ALL_LAYERS.keys() & changes.keys():
-        for group in (_tables(chamber, "layers"), superlayers):
-            for part in (_open(group, label) for label in group):
-                for old in FOR_ALL_LAYERS[name]:
-                    part.pop(old, None)
-    removed = str(variant.get("remove", ""))
-    if (
-        "superlayers" in changes
-        or "drift_chamber.superlayers" in removed
-        or (superlayers and changes.keys() & set(_ENDS))
-    ):
-        chamber.pop("layers", None)
-        chamber.pop(GENERATED, None)
-    tables = [changes, *_tables(changes, "layers").values(), *_tables(changes, "superlayers").values()]
-    if "wires" not in changes and any(isinstance(one, Mapping) and "cell_wires" in one for one in tables):
-        chamber.pop("wires", None)
-    for name, other in (("drift_relation", "drift_velocity"), ("drift_velocity", "drift_relation")):
-        if name in changes:
-            chamber.pop(other, None)
-    _lay_ends(chamber, changes, *Bounded.short_form)
-    for name in ("layers", "superlayers"):
-        for label, table in _tables(changes, name).items():
-            if isinstance(table, Mapping):
-                _lay_ends(_open(_tables(chamber, name), label), table, *Bounded.short_form)
-    for label in superlayers:
-        if changes.keys() & set(_ENDS):
-            for name in _ENDS:
-                _open(superlayers, label).pop(name, None)
-        superlayer = _tables(_tables(changes, "superlayers"), label)
-        for name, other in (("stereo", "twist"), ("twist", "stereo")):
-            if name in superlayer:
-                _open(superlayers, label).pop(other, None)
-
-
 def _drop_field(base: dict[str, Any], variant: Mapping[str, Any]) -> None:
     """Keep only the strength of the base's field if the variant has another kind; a map has its own strength."""
     if not variant:
         return
-    old, kind = _open(base, "field"), variant.get("kind")
+    old, kind = open_table(base, "field"), variant.get("kind")
     if kind is not None and kind != plain(old.get("kind")):
         base["field"] = {"bz": old["bz"]} if "bz" in old and kind != "map" else {}
     elif "file" in variant:
@@ -732,7 +651,7 @@ def _lay_over(base: dict[str, Any], variant: Mapping[str, Any], path: str) -> No
             if isinstance(base[name], list):
                 base[name] = _changed_stack(base[name], value)
                 continue
-            if isinstance(_open(base, name), dict) and isinstance(base[name], dict):
+            if isinstance(open_table(base, name), dict) and isinstance(base[name], dict):
                 _lay_over(base[name], value, name)
                 continue
         base[name] = _copied(value)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cgemit import _core
-from cgemit.detector.keys import Part, key, once
+from cgemit.detector.keys import Known, Part, key, once, plain
 from cgemit.detector.material import Element, Material
+from cgemit.units import parse_quantity
 
 TOUCH = 1e-6  # mm; parts closer than this touch
 ENDLESS = (-1e9, 1e9)  # mm, ends of air
@@ -49,6 +50,23 @@ class Bounded(Part):
         """Middle between the ends, mm."""
         low, high = self.ends
         return 0.5 * (low + high)
+
+    @classmethod
+    def drop_ends(cls, base: dict[str, Any], variant: Mapping[str, Any]) -> None:
+        """Remove the ends of a base that a variant replaces; the short form of the base stands for the other end."""
+        short, share = cls.short_form
+        if short in variant:
+            base.pop("z_min", None)
+            base.pop("z_max", None)
+        elif ("z_min" in variant or "z_max" in variant) and short in base:
+            old = plain(base[short])
+            try:
+                half = 0.5 / share * (parse_quantity(old, "length") if isinstance(old, str) else old)
+            except (TypeError, ValueError):
+                return  # it is noted where it is read
+            del base[short]
+            if plain(base.get("z_min")) is None:
+                base |= {"z_min": Known(-half), "z_max": Known(half)}
 
     def length_text(self) -> str:
         """Return the ends as a part of a line."""

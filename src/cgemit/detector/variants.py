@@ -15,10 +15,10 @@ from cgemit.base.errors import DetectorError, Problem, did_you_mean, shown
 from cgemit.detector.keys import CELLS, Key, Known, Part, default, file_keys, keys_of, once
 from cgemit.detector.layers import CgemLayer
 from cgemit.detector.layers.layer import SubLayer
-from cgemit.detector.layers.wires import CellWire, DriftChamber
+from cgemit.detector.layers.wires import FOR_ALL_LAYERS, CellWire, DriftChamber
 from cgemit.detector.material import Material
 from cgemit.detector.parts import Contents
-from cgemit.detector.reader import FOR_ALL_LAYERS, OF_LISTS, TOP_LEVEL
+from cgemit.detector.reader import OF_LISTS, TOP_LEVEL
 from cgemit.detector.readouts import Readout
 from cgemit.detector.shells import Bounded
 from cgemit.units import NATIVE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -14,7 +14,7 @@ import numpy as np
 
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem
-from cgemit.detector.keys import Part, key, once
+from cgemit.detector.keys import Part, key, once, open_table, table_in
 from cgemit.detector.layers.layer import FAR, ROTATION, Placed
 from cgemit.detector.material import Material
 from cgemit.detector.shells import TOUCH, Bounded
@@ -403,6 +403,33 @@ class Superlayer(Part):
     t0: float = _of_wires("t0")  # ns
 
 
+#: What the label of a wire layer must match, and its largest number.
+WIRE_NUMBER, LAST_WIRE_LAYER = "0|[1-9][0-9]{0,4}", 65535
+
+#: Keys of the ends of wires.
+OF_ENDS = ("half_length", "z_min", "z_max")
+
+#: Values of [drift_chamber] that hold for every layer which does not state its own; a new value in a variant
+#: replaces the listed values of the base's layers.
+FOR_ALL_LAYERS = {
+    "sigma": ("sigma", "sigma_slope", "sigma_points"),
+    "sigma_slope": ("sigma_slope", "sigma_points"),
+    "sigma_points": ("sigma_points", "sigma", "sigma_slope"),
+    "diffusion": ("diffusion",),
+    "efficiency": ("efficiency",),
+    "wire_x0": ("wire_x0", "cell_wires"),
+    "cell_wires": ("cell_wires", "wire_x0"),
+    "signal_speed": ("signal_speed",),
+    "readout_end": ("readout_end",),
+    "drift_relation": ("drift_relation", "drift_velocity"),
+    "drift_velocity": ("drift_velocity", "drift_relation"),
+    "t0": ("t0",),
+}
+
+#: Key of a drift chamber whose layers have been made of its superlayers.
+GENERATED = "<generated>"
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DriftChamber(Placed):
     """A drift chamber: wire layers in one gas.
@@ -432,6 +459,43 @@ class DriftChamber(Placed):
     layers: tuple[WireLayer, ...] = ()
     # What the layers were made of, for changes by `with_overrides`; no part of the content.
     superlayers: tuple[Superlayer, ...] = field(default=(), compare=False)
+
+    @staticmethod
+    def drop_replaced(chamber: dict[str, Any], variant: Mapping[str, Any]) -> None:
+        """Remove the values of the base's layers that the variant replaces; all layers if it changes superlayers."""
+        changes, superlayers = table_in(variant, "drift_chamber"), table_in(chamber, "superlayers")
+        for name in FOR_ALL_LAYERS.keys() & changes.keys():
+            for group in (table_in(chamber, "layers"), superlayers):
+                for part in (open_table(group, label) for label in group):
+                    for old in FOR_ALL_LAYERS[name]:
+                        part.pop(old, None)
+        removed = str(variant.get("remove", ""))
+        if (
+            "superlayers" in changes
+            or "drift_chamber.superlayers" in removed
+            or (superlayers and changes.keys() & set(OF_ENDS))
+        ):
+            chamber.pop("layers", None)
+            chamber.pop(GENERATED, None)
+        tables = [changes, *table_in(changes, "layers").values(), *table_in(changes, "superlayers").values()]
+        if "wires" not in changes and any(isinstance(one, Mapping) and "cell_wires" in one for one in tables):
+            chamber.pop("wires", None)
+        for name, other in (("drift_relation", "drift_velocity"), ("drift_velocity", "drift_relation")):
+            if name in changes:
+                chamber.pop(other, None)
+        WireLayer.drop_ends(chamber, changes)
+        for name in ("layers", "superlayers"):
+            for label, table in table_in(changes, name).items():
+                if isinstance(table, Mapping):
+                    WireLayer.drop_ends(open_table(table_in(chamber, name), label), table)
+        for label in superlayers:
+            if changes.keys() & set(OF_ENDS):
+                for name in OF_ENDS:
+                    open_table(superlayers, label).pop(name, None)
+            superlayer = table_in(table_in(changes, "superlayers"), label)
+            for name, other in (("stereo", "twist"), ("twist", "stereo")):
+                if name in superlayer:
+                    open_table(superlayers, label).pop(other, None)
 
     def __repr__(self) -> str:
         return f"<drift chamber: {self.text()}>"
