@@ -123,6 +123,14 @@ def format_quantity(value: float, dimension: str, unit: str | None = None) -> st
     In the native unit (the default) all digits are kept, so that `parse_quantity` returns exactly `value`;
     in another unit six significant digits are written, for people.
 
+    Parameters
+    ----------
+    value : float
+    dimension : str
+        Such as ``"length"``, a key of `NATIVE`.
+    unit : str or None
+        One of `units_of`; None: the native one.
+
     Examples
     --------
     >>> cg.units.format_quantity(0.65, "length", "um"), cg.units.format_quantity(0.65, "length")
@@ -134,7 +142,12 @@ def format_quantity(value: float, dimension: str, unit: str | None = None) -> st
 
 
 def describe(dimension: str) -> str:
-    """Return what a value of this dimension looks like, for messages: ``a length such as "1 mm"``.
+    """Return what a value of this dimension looks like, for messages.
+
+    Parameters
+    ----------
+    dimension : str
+        Such as ``"length"``, a key of `NATIVE`.
 
     Examples
     --------
@@ -149,6 +162,11 @@ def describe(dimension: str) -> str:
 
 def units_of(dimension: str) -> tuple[str, ...]:
     """Return the unit names that `parse_quantity` accepts for a dimension.
+
+    Parameters
+    ----------
+    dimension : str
+        Such as ``"length"``, a key of `NATIVE`.
 
     Examples
     --------

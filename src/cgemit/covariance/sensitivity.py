@@ -132,7 +132,7 @@ class Sensitivity(Shown):
     points: Points
 
     def of(self, key: str, quantity: str) -> Floats:
-        """Return the derivatives of one quantity by one number, for all points."""
+        """Return the derivatives of `quantity` by the number of the dotted `key`, for all points."""
         return np.asarray(self.values[self.keys.index(key), self.quantities.index(quantity)])
 
     def ordered(self) -> list[str]:
