@@ -43,7 +43,7 @@ def design_layers(drift_gap=5.0):
         "slope": np.zeros(3),
         "has_x": np.ones(3, bool),
         "has_v": np.ones(3, bool),
-        "phi_first": np.tile([np.pi, 0.0], (3, _core.calibration.MOST_SHEETS // 2)),
+        "phi_first": np.tile([np.pi, 0.0], (3, _core.detector.MOST_SHEETS // 2)),
         **in_place("placement", 3),
         "sheets": sheets,
         "strips_x": strips_x,

@@ -123,7 +123,7 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
         for k, v in (("sheets", 1), ("strips_x", 800), ("strips_v", 900), ("ladders", 0))
     }
     cgem |= {"has_x": np.ones(n_gaps, bool), "has_v": np.ones(n_gaps, bool)}
-    cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, _core.calibration.MOST_SHEETS))}
+    cgem |= {"gid_first": np.zeros(n_gaps, np.int32), "phi_first": np.zeros((n_gaps, _core.detector.MOST_SHEETS))}
     cgem |= gem_toy.in_place("placement", n_gaps)
     wires = {name: column[:0] for name, column in gem_toy.wire_layers().items() if not name.startswith("chamber")}
     wires |= gem_toy.in_place("chamber", 1)

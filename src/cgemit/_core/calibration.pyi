@@ -6,7 +6,6 @@ import numpy.typing as npt
 
 from cgemit._core.detector import Detector
 
-MOST_SHEETS: Final[int]  # of a layer
 MOST_COLUMNS: Final[int]  # constants of one matrix
 
 # `normal` (n, n), `right` and `measured` (n,): sums over the tracks; and of each track `used`, `hits`, `chi2`,

@@ -13,6 +13,7 @@ ELECTRON_STEPS: Final[int]  # equal steps of the electron energies from each pow
 LOSS_GRID_FIRST: Final[float]  # ln(beta gamma) of the first column of log_terms
 LOSS_GRID_STEP: Final[float]
 LOSS_POINTS: Final[int]
+MOST_SHEETS: Final[int]  # of a layer
 
 class Field:
     # Harmonic (b mm^-2, q mm^-4; reach: largest r and |z|, mm), or a grid in r, z, in x, y, z or, if `polar`, in r,

@@ -216,7 +216,7 @@ def columns_of(detector: Detector, constants: Sequence[Constant]) -> dict[str, A
     wires = chamber.layers if chamber is not None else ()
     changes = _drift_changes(detector, constants)
     shapes: Mapping[str, tuple[int, ...]] = {
-        "layers": (layers, 6), "sheets": (layers, _core.calibration.MOST_SHEETS, 6), "chamber": (1, 6),
+        "layers": (layers, 6), "sheets": (layers, _core.detector.MOST_SHEETS, 6), "chamber": (1, 6),
         "wires": (len(wires), 6), "east": (len(wires), 6), "west": (len(wires), 6), "lorentz": (layers,),
         "z_scale": (layers,), "drift": changes.shape[:2], "field": (1,),
     }  # fmt: skip

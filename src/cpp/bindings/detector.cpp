@@ -138,6 +138,7 @@ void bind_detector(py::module_& module) {
   module.attr("ELECTRON_GRID_FIRST") = electron_grid_first;
   module.attr("ELECTRON_STEPS") = electron_steps;
   module.attr("ELECTRON_POINTS") = electron_points;
+  module.attr("MOST_SHEETS") = most_sheets;
   py::class_<Chamber>(module, "Chamber",
                       "The wire layers of a drift chamber in place, for any number of detectors.")
       .def(py::init(&make_chamber), py::arg("wires"));

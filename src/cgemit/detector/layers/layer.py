@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problem, Problems
 from cgemit.detector.keys import Key, Part, key
@@ -87,8 +88,8 @@ class Placed(Part):
 PLACEMENT = ("shift_x", "shift_y", "shift_z", "tilt_x", "tilt_y", "rotation")
 
 
-#: Largest number of readout sheets of a layer, as in the core's ``detector/detector.hpp``.
-MOST_SHEETS = 8
+#: Largest number of readout sheets of a layer.
+MOST_SHEETS = _core.detector.MOST_SHEETS
 
 #: Placement of a part that is where the description puts it.
 IN_PLACE = Placed().placement
