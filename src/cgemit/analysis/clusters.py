@@ -85,11 +85,11 @@ def cluster_residuals(result: Result) -> ClusterResiduals:
         Empty arrays for a detector without CGEM layers.
     """
     clusters, truths, detector = result.fitted_clusters, result.truths, result.detector
-    own = assign.own_clusters(detector, clusters, truths)
+    rows = assign.own_clusters(detector, clusters, truths)
     residual, size, view = (
-        assign.residuals(detector, clusters, truths, own),
-        clusters["size"][own],
-        clusters["view"][own],
+        assign.residuals(detector, clusters, truths, rows),
+        clusters["size"][rows],
+        clusters["view"][rows],
     )
     in_view = clusters["view"] < 2
     without_truth = int(np.count_nonzero(in_view & (clusters["truth"] < 0)))
@@ -99,7 +99,7 @@ def cluster_residuals(result: Result) -> ClusterResiduals:
         residual[view == 1],
         size[view == 1],
         without_truth,
-        int(np.count_nonzero(in_view)) - without_truth - len(own),
+        int(np.count_nonzero(in_view)) - without_truth - len(rows),
     )
 
 

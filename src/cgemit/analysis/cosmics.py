@@ -63,21 +63,21 @@ class Cosmics(Shown, Tabular):
 
     def columns(self) -> dict[str, list[object]]:
         """Return the core widths as columns, one row for each parameter."""
-        found: dict[str, list[object]] = {"parameter": list(_NAMES), "unit": [self.halves[n].unit for n in _NAMES]}
+        table: dict[str, list[object]] = {"parameter": list(_NAMES), "unit": [self.halves[n].unit for n in _NAMES]}
         for name, widths in (
             ("halves", self.halves), ("truth", self.truth), ("one_track", self.one_track), ("pull", self.pulls)
         ):  # fmt: skip
             if widths is not None:
-                found[name] = [widths[n].core for n in _NAMES]
-                found[f"{name}_error"] = [widths[n].core_error for n in _NAMES]
-        return found
+                table[name] = [widths[n].core for n in _NAMES]
+                table[f"{name}_error"] = [widths[n].core_error for n in _NAMES]
+        return table
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
-        given = (self.halves, self.truth, self.one_track, self.pulls)
+        widths = (self.halves, self.truth, self.one_track, self.pulls)
         heads = ("difference/sqrt(2)", "true residual", "one track", "pull of the difference")
-        head = ("parameter", *(text for text, one in zip(heads, given, strict=True) if one is not None))
+        head = ("parameter", *(text for text, one in zip(heads, widths, strict=True) if one is not None))
         rows = [
-            [self.halves[n].label(), *(with_error(one[n].core, one[n].core_error) for one in given if one is not None)]
+            [self.halves[n].label(), *(with_error(one[n].core, one[n].core_error) for one in widths if one is not None)]
             for n in _NAMES
         ]
         return f"halves of {self.events} cosmic muons: core widths", head, rows

@@ -234,9 +234,9 @@ class Finding(Shown):
         -------
         ndarray, (particles,) bool
         """
-        found = np.zeros(len(self.charged), np.bool_)
-        found[self.candidates.particle[self.classes[definition] == MatchStatus.matched]] = True
-        return found
+        is_found = np.zeros(len(self.charged), np.bool_)
+        is_found[self.candidates.particle[self.classes[definition] == MatchStatus.matched]] = True
+        return is_found
 
     def rates(self, definition: Definition = "belle2", among: npt.ArrayLike | None = None) -> FindingRates:
         """Return efficiency, fakes and clones.
@@ -285,9 +285,9 @@ class Finding(Shown):
         edges : array_like, (bins + 1,)
             Increasing.
         """
-        bounds, found = np.asarray(edges, np.float64), self.found()
+        bounds, is_found = np.asarray(edges, np.float64), self.found()
         bin_of = np.digitize(getattr(self, quantity), bounds) - 1
-        return [_fraction(found, self.findable & (bin_of == i)) for i in range(len(bounds) - 1)]
+        return [_fraction(is_found, self.findable & (bin_of == i)) for i in range(len(bounds) - 1)]
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the results as text, name and value."""
@@ -386,9 +386,9 @@ def _wrong_in_z(result: Result) -> tuple[Flags, Flags]:
 def _of_event(particles: Table, rows: Rows) -> Rows:
     """Return the number of rows in the event of each particle, (particles,) int64; `rows` are the events of rows."""
     events, counts = np.unique(rows, return_counts=True)
-    place = np.minimum(np.searchsorted(events, particles["event"]), max(len(events) - 1, 0))
+    row = np.minimum(np.searchsorted(events, particles["event"]), max(len(events) - 1, 0))
     return (
-        np.where(events[place] == particles["event"], counts[place], 0)
+        np.where(events[row] == particles["event"], counts[row], 0)
         if len(events)
         else np.zeros(len(particles), np.int64)
     )
@@ -495,9 +495,9 @@ def loop_links(result: Result) -> LoopLinks:
     if result.fitted is None or len(result.fitted) != len(result.candidates):
         raise ValueError("loop_links: expected a run with until='fit' and one mass hypothesis that keeps all tables")
     detector = result.fit_detector or result.detector
-    found = finding(result)
+    by_finder = finding(result)
     first = link_loops(result.fitted, detector.field.bz)
-    classes, particle = found.classes["belle2"], found.candidates.particle
+    classes, particle = by_finder.classes["belle2"], by_finder.candidates.particle
     of_track = result.fitted["candidate"]
     classes, particle = classes[of_track], particle[of_track]
     known, loops = classes != MatchStatus.no_hits, classes == MatchStatus.other_half_turn
@@ -506,7 +506,7 @@ def loop_links(result: Result) -> LoopLinks:
     foreign = linked & ((particle != particle[first]) | fake | fake[first])
     return LoopLinks(
         first=first,
-        found=found,
+        found=by_finder,
         before=_fraction(loops, known),
         after=_fraction(loops, known & ~linked),
         wrong=_fraction(foreign, linked),

@@ -158,11 +158,11 @@ class Quantity:
         """
         weights = self.gradient(kappa, tanl, charge)
         used = np.any(weights != 0, axis=0)  # one to three of the five parameters
-        found = np.zeros(entries.shape[:-1])
+        variance = np.zeros(entries.shape[:-1])
         for entry, (i, j) in enumerate(zip(*UPPER, strict=True)):
             if used[i] and used[j]:  # entries beside the diagonal stand for two
-                found += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
-        return found
+                variance += (1 if i == j else 2) * weights[:, i] * weights[:, j] * entries[..., entry]
+        return variance
 
 
 _ANY: Columns = {"kappa": np.ones(1), "tanl": np.zeros(1), "charge": np.ones(1)}
@@ -234,9 +234,9 @@ MAIN = ("dr", "dz", "p")
 #: Names by every accepted spelling: the names and symbols that tables and figures show, and others. A relative
 #: resolution has the symbol of the quantity itself.
 NAMES: Mapping[str, str] = {
-    text: one.name
-    for one in QUANTITIES.values()
-    for text in (one.name, *one.spellings, one.sigma, *([] if one.relative else [one.symbol]))
+    text: quantity.name
+    for quantity in QUANTITIES.values()
+    for text in (quantity.name, *quantity.spellings, quantity.sigma, *([] if quantity.relative else [quantity.symbol]))
 }
 
 #: Residuals of clusters in the two views.

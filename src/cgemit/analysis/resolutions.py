@@ -522,14 +522,14 @@ def fit_form(
 
 
 def _problems(quantity: str, p: Floats, sigma: Floats, error: Floats) -> list[str]:
-    found = []
+    texts = []
     if quantity not in FORMS:
-        found.append(f"quantity: got {quantity!r}; expected one of {', '.join(FORMS)}")
+        texts.append(f"quantity: got {quantity!r}; expected one of {', '.join(FORMS)}")
     if p.ndim != 1 or p.shape != sigma.shape or p.shape != error.shape:
-        found.append(f"p, sigma, error: got shapes {p.shape}, {sigma.shape}, {error.shape}; expected lists of one size")
+        texts.append(f"p, sigma, error: got shapes {p.shape}, {sigma.shape}, {error.shape}; expected lists of one size")
     if not np.all(np.isfinite(p) & (p > 0)):
-        found.append("p: expected positive momenta in GeV/c")
-    return found
+        texts.append("p: expected positive momenta in GeV/c")
+    return texts
 
 
 def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float, float], tuple[float, float], Floats]:
@@ -550,13 +550,13 @@ def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float
         return np.asarray(terms / (2 * np.sqrt(terms @ squares) * error)[:, None])
 
     start, tolerances = np.full(2, 0.25), {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
-    found = least_squares(residuals, start, jac=jacobian, bounds=(0, np.inf), max_nfev=1000, **tolerances)
-    spread = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    solution = least_squares(residuals, start, jac=jacobian, bounds=(0, np.inf), max_nfev=1000, **tolerances)
+    spread = np.sqrt(np.diag(np.linalg.inv(solution.jac.T @ solution.jac)))
     # At the bound the square is zero but for rounding.
-    found.x[found.x < _NOTHING] = 0.0
-    low, high = np.sqrt(found.x * scale), np.sqrt((found.x + spread) * scale)
+    solution.x[solution.x < _NOTHING] = 0.0
+    low, high = np.sqrt(solution.x * scale), np.sqrt((solution.x + spread) * scale)
     (c, s), (c_error, s_error) = low.tolist(), (high - low).tolist()
-    return (c, c_error), (s, s_error), residuals(found.x)
+    return (c, c_error), (s, s_error), residuals(solution.x)
 
 
 def mean_sine(cos_theta: CosTheta, power: float) -> float:

@@ -185,13 +185,13 @@ def core_sigma(sample: npt.ArrayLike) -> float:
     return _core(np.sort(np.asarray(sample, np.float64)))[0]
 
 
-def _window(given: object) -> tuple[float, float]:
+def _window(raw: object) -> tuple[float, float]:
     """Return the ends of a window; infinite for None."""
-    if given is None:
+    if raw is None:
         return -math.inf, math.inf
-    ends = [number(end) for end in given] if isinstance(given, tuple | list | np.ndarray) and np.ndim(given) else []
+    ends = [number(end) for end in raw] if isinstance(raw, tuple | list | np.ndarray) and np.ndim(raw) else []
     if len(ends) != 2 or not ends[0] < ends[1]:
-        raise ValueError(f"window: got {given!r}; expected (low, high)")
+        raise ValueError(f"window: got {raw!r}; expected (low, high)")
     return ends[0], ends[1]
 
 
@@ -250,12 +250,12 @@ def _core_errors(u: Floats) -> tuple[float, float]:
     for a symmetric shape are left out. For a Gaussian, n sigma_error^2 = 1/1.728 (1/2 without a window).
     """
     square = u[np.abs(u) <= _N_SIGMA] ** 2
-    number, total = len(square), float(square.sum())
+    n, total = len(square), float(square.sum())
     half = 0.25  # of the range about an edge that gives the density there
     edge = float(np.count_nonzero(np.abs(np.abs(u) - _N_SIGMA) < half)) / (2 * half)
     # At least a tenth of the curvature is kept: noise in `edge` must not make a small sample's error infinite.
     slope_sigma = max(2 * total - _N_SIGMA * (_N_SIGMA**2 - SECOND_INSIDE) * edge, 0.2 * total)
-    slope_mean = max(number - _N_SIGMA * edge, 0.1 * number)
+    slope_mean = max(n - _N_SIGMA * edge, 0.1 * n)
     return math.sqrt(float(np.sum((square - SECOND_INSIDE) ** 2))) / slope_sigma, math.sqrt(total) / slope_mean
 
 

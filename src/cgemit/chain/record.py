@@ -38,10 +38,12 @@ def gun_data(gun: Source | Guns | None) -> list[dict[str, Any]] | None:
     return [_data_of(one) for one in guns]
 
 
-def _data_of(one: Source) -> dict[str, Any]:
+def _data_of(source: Source) -> dict[str, Any]:
     """Return one source as JSON; the key ``sample`` tells samples from guns."""
     named = (
-        {"sample": one.name, **one.options()} if isinstance(one, EventSample) else {n: getattr(one, n) for n in _GUN}
+        {"sample": source.name, **source.options()}
+        if isinstance(source, EventSample)
+        else {n: getattr(source, n) for n in _GUN}
     )
     return {name: _value_data(name, value) for name, value in named.items()}
 
@@ -95,9 +97,9 @@ _KINDS = {
 }  # fmt: skip
 
 
-def _numbers(given: object) -> bool:
+def _numbers(raw: object) -> bool:
     """Return whether something maps names to numbers that are not negative."""
-    return isinstance(given, dict) and all(type(value) in (int, float) and value >= 0 for value in given.values())
+    return isinstance(raw, dict) and all(type(value) in (int, float) and value >= 0 for value in raw.values())
 
 
 #: What entries hold beside their type: a check, and what it expects.
@@ -236,10 +238,10 @@ def recorded_settings(path: str | os.PathLike[str]) -> Mapping[str, Any]:
         tables = read_json(path)
         if tables["format"] == FORMAT and isinstance(tables["settings"], Mapping):
             return tables["settings"]
-        given = f"format {tables['format']!r:.50}"
+        got = f"format {tables['format']!r:.50}"
     except (OSError, ValueError, KeyError, TypeError) as error:
-        given = reason(error)
-    raise SettingsError(str(path), [Problem("", given, f"a TOML file of settings, or the {RECORD} of a run")])
+        got = reason(error)
+    raise SettingsError(str(path), [Problem("", got, f"a TOML file of settings, or the {RECORD} of a run")])
 
 
 def _read_record(folder: Path, problems: Problems) -> dict[str, Any]:
@@ -275,9 +277,9 @@ def _read_entries(
     """Return what the entries of a record describe; problems are added."""
     if not entries:
         return {}, None, kind()
-    found = configuration_of(entries["detectors"], entries["settings"], entries["source"])
-    if entries["configuration"] != found:
-        expected = f"{found!r}, the hash of its detectors, settings and source"
+    hashed = configuration_of(entries["detectors"], entries["settings"], entries["source"])
+    if entries["configuration"] != hashed:
+        expected = f"{hashed!r}, the hash of its detectors, settings and source"
         problems.note(f"{RECORD}: configuration", repr(entries["configuration"]), expected)
     if "detector" not in entries["detectors"]:
         problems.note(f"{RECORD}: detectors.detector", "nothing", "the detector of the run")
@@ -323,14 +325,14 @@ def _strangers(tables: Mapping[str, Table], entries: Mapping[str, Any]) -> Probl
     }  # fmt: skip
     problems = Problems()
     for name in tables:
-        about = about_of(tables, name)
-        meta = about["meta"] if isinstance(about.get("meta"), dict) else {}
-        given = {"events": about["n_events"], "first_event": about["first_event"], **meta}
-        wrong = [key for key, value in expected.items() if given.get(key) != value]
+        described = about_of(tables, name)
+        meta = described["meta"] if isinstance(described.get("meta"), dict) else {}
+        stated = {"events": described["n_events"], "first_event": described["first_event"], **meta}
+        wrong = [key for key, value in expected.items() if stated.get(key) != value]
         for key in wrong:
-            problems.note(f"{name}.npz: {key}", repr(given.get(key)), f"{expected[key]!r}, as {RECORD} says")
-        if about["kind"] != name:
-            problems.note(f"{name}.npz", f"a table of kind {about['kind']!r}", repr(name))
+            problems.note(f"{name}.npz: {key}", repr(stated.get(key)), f"{expected[key]!r}, as {RECORD} says")
+        if described["kind"] != name:
+            problems.note(f"{name}.npz", f"a table of kind {described['kind']!r}", repr(name))
     return problems
 
 

@@ -295,9 +295,9 @@ class Result:
         """
         check_format(format)
         entries = self.entries(command)
-        with new_folder(folder, overwrite=overwrite) as place:
-            files = write_tables(self.tables, place, format)
-            files += write_about(place, detectors_of(self.detector, self.fit_detector), entries)
+        with new_folder(folder, overwrite=overwrite) as temporary:
+            files = write_tables(self.tables, temporary, format)
+            files += write_about(temporary, detectors_of(self.detector, self.fit_detector), entries)
             names = [path.name for path in files]
         return [Path(folder) / name for name in names]
 
@@ -309,12 +309,12 @@ class Result:
         command : str
             Command line, if there was one.
         """
-        about = {"events": self.n_events, "first_event": self.first_event, "tables": list(self.tables)}
+        entries = {"events": self.n_events, "first_event": self.first_event, "tables": list(self.tables)}
         if self.transported is not None:
-            about["transported"] = dict(self.transported)
+            entries["transported"] = dict(self.transported)
         return record(
             detectors=detectors_of(self.detector, self.fit_detector), settings=self.settings, seed=self.seed,
-            source=gun_data(self.gun), command=command, **about, timings=dict(self.timings),
+            source=gun_data(self.gun), command=command, **entries, timings=dict(self.timings),
         )  # fmt: skip
 
     @classmethod
@@ -371,9 +371,11 @@ class Result:
 
 def result_of(run: Run[Settings], tables: Mapping[str, Table]) -> Result:
     """Return the result of a run that was read, with its own tables or the given ones."""
-    about: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
-    about |= {name: run.entries[name] for name in ("seed", "timings")} | {"transported": run.entries.get("transported")}
-    return Result(tables=tables, **about)
+    fields: dict[str, Any] = {"gun": run.gun, "settings": run.settings, **run.detectors}
+    fields |= {name: run.entries[name] for name in ("seed", "timings")} | {
+        "transported": run.entries.get("transported")
+    }
+    return Result(tables=tables, **fields)
 
 
 def open(folder: str | os.PathLike[str]) -> Result:

@@ -247,15 +247,15 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
     """Yield the tables that each stage makes of one table of particles; who takes them stops where he likes."""
     settings = job.settings
     fit = replace(fit_settings(settings, job.source), components=True)  # for `quantile_p`
-    made: Tables = transport(job.detector, particles, settings.simulate, job.seed)
-    yield "simulate", made
-    particles, truths, wire_truths = made["particles"], made["truths"], made["wire_truths"]
-    made = digitize.unchecked(job.detector, truths, wire_truths, settings.digitize, job.seed, steps=made["steps"])
-    made = add_background.unchecked(job.detector, **made, settings=settings.background, seed=job.seed)
+    out: Tables = transport(job.detector, particles, settings.simulate, job.seed)
+    yield "simulate", out
+    particles, truths, wire_truths = out["particles"], out["truths"], out["wire_truths"]
+    out = digitize.unchecked(job.detector, truths, wire_truths, settings.digitize, job.seed, steps=out["steps"])
+    out = add_background.unchecked(job.detector, **out, settings=settings.background, seed=job.seed)
     if job.fit_detector is not job.detector:
-        made["wire_hits"] = read_by(job.fit_detector, job.detector, made["wire_hits"])
-    yield "digitize", made
-    digis, wire_hits = made["digis"], made["wire_hits"]
+        out["wire_hits"] = read_by(job.fit_detector, job.detector, out["wire_hits"])
+    yield "digitize", out
+    digis, wire_hits = out["digis"], out["wire_hits"]
     clusters = cluster.unchecked(job.fit_detector, digis, settings.cluster)
     yield "cluster", {"clusters": clusters}
     finder, hits = (
@@ -267,15 +267,15 @@ def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table
         "find_again": settings.refine.find_again and unsure,
         "compete": settings.refine.points == "compete" and unsure,
     }
-    found: Tables = {}
+    fitted: Tables = {}
     refined = refinements_of(settings, job.fit_detector)
     for step, tables in turns(job.fit_detector, hits, finder, fit, refined, **how):
-        found |= tables
+        fitted |= tables
         yield step, {name: table for name, table in tables.items() if name != "components" or settings.fit.components}
-    tracks, candidates = found["tracks"], (found["candidates"], found["candidate_hits"])
+    tracks, candidates = fitted["tracks"], (fitted["candidates"], fitted["candidate_hits"])
     of_truth = (particles, truths, wire_truths)
     matches = match.unchecked(
-        tracks, *candidates, clusters, wire_hits, *of_truth, detector=job.detector, components=found["components"]
+        tracks, *candidates, clusters, wire_hits, *of_truth, detector=job.detector, components=fitted["components"]
     )
     yield "match", matches
 
@@ -336,36 +336,36 @@ def _checked(
     """Return the job of a run and its number of events; raise an error that lists every problem of the arguments."""
     if not isinstance(settings, Settings | None):
         raise TypeError(f"settings: got {type(settings).__name__}, expected {expected_settings(settings)}")
-    found = Problems()
-    simulated: Any = found.collect(load, detector)
-    assumed: Any = simulated if fit_detector is None else found.collect(load, fit_detector)
+    problems = Problems()
+    simulated: Any = problems.collect(load, detector)
+    assumed: Any = simulated if fit_detector is None else problems.collect(load, fit_detector)
     if readout is not None:
         same = assumed is simulated
-        simulated = _read_out(simulated, readout, found)
-        assumed = simulated if same or simulated is None else _read_out(assumed, readout, found)
-    given: Any = settings or Settings()
+        simulated = _read_out(simulated, readout, problems)
+        assumed = simulated if same or simulated is None else _read_out(assumed, readout, problems)
+    wanted: Any = settings or Settings()
     if simulated is not None:
-        given = found.collect(for_run, given, simulated)
+        wanted = problems.collect(for_run, wanted, simulated)
     most = 2**31 - 1
-    found.collect(check_numbers, "run", seed, workers.threads, n=(n, 0, most), chunk=(workers.chunk, 1, most))
-    found.collect(check_clusterer, assumed, until)
-    found.collect(check_digis, simulated, assumed, until)
+    problems.collect(check_numbers, "run", seed, workers.threads, n=(n, 0, most), chunk=(workers.chunk, 1, most))
+    problems.collect(check_clusterer, assumed, until)
+    problems.collect(check_digis, simulated, assumed, until)
     for one in (simulated, assumed) if assumed is not simulated else (simulated,):
-        found.collect(check_raw_times, one, given, until)
-    source: Any = found.collect(source_of, gun, n, charges)
-    kept = found.collect(
-        check_stages, finder, until, workers, keep, given, assumed, source is not None and source[3] is not None
+        problems.collect(check_raw_times, one, wanted, until)
+    source: Any = problems.collect(source_of, gun, n, charges)
+    kept_tables = problems.collect(
+        check_stages, finder, until, workers, keep, wanted, assumed, source is not None and source[3] is not None
     )
     if output is not None:
-        found.collect(check_format, output.format)
-    found.report("run")
+        problems.collect(check_format, output.format)
+    problems.report("run")
     if until in STAGES[2:]:
         warn_of_losses(simulated)
     if until in STAGES[3:] and finder == "ckf":
-        warn_of_no_seeds(assumed, given.find)
+        warn_of_no_seeds(assumed, wanted.find)
     shooter, n_events, table, events = source
-    given = _with_flight(given, shooter, table)
-    return Job(simulated, assumed, shooter, table, events, given, seed, finder, until, kept), n_events
+    wanted = _with_flight(wanted, shooter, table)
+    return Job(simulated, assumed, shooter, table, events, wanted, seed, finder, until, kept_tables), n_events
 
 
 def _read_out(detector: Detector | None, readout: Any, problems: Problems) -> Detector | None:
@@ -389,18 +389,19 @@ def check_digis(detector: Detector | None, fit_detector: Detector | None, until:
     if detector is None or fit_detector is None or until not in STAGES[2:]:
         return
     pairs = list(zip(detector.layers, fit_detector.layers, strict=False))
-    problems, others = Problems(), []
-    for one, other in pairs:
-        if one.readout.makes != other.readout.makes:
-            given = f"readout {other.readout.name}, of {other.readout.makes}"
-            expected = f"one of {one.readout.makes}: the simulated {one.label} has readout {one.readout.name}"
-            problems.note(f"fit_detector.{other.label}", given, expected)
-        elif one.readout.name != other.readout.name:
-            others.append(f"{other.label} {other.readout.name} instead of {one.readout.name}")
+    problems, readouts = Problems(), []
+    for simulated, other in pairs:
+        if simulated.readout.makes != other.readout.makes:
+            got = f"readout {other.readout.name}, of {other.readout.makes}"
+            makes, name = simulated.readout.makes, simulated.readout.name
+            expected = f"one of {makes}: the simulated {simulated.label} has readout {name}"
+            problems.note(f"fit_detector.{other.label}", got, expected)
+        elif simulated.readout.name != other.readout.name:
+            readouts.append(f"{other.label} {other.readout.name} instead of {simulated.readout.name}")
     problems.report("run")
-    if others:
+    if readouts:
         warnings.warn(
-            f"{fit_detector.name}: fit_detector has other readouts than the simulation: {', '.join(others)}; "
+            f"{fit_detector.name}: fit_detector has other readouts than the simulation: {', '.join(readouts)}; "
             "readout=... sets both",
             stacklevel=4,
         )
@@ -457,14 +458,14 @@ def check_stages(
     if until not in STAGES:
         problems.note("until", repr(until), f"one of {', '.join(map(repr, STAGES))}")
     elif settings is not None and detector is not None:
-        made = tables_made(str(until), settings, detector)
-        if "candidates" in made and finder != "truth":
-            made = (*made, "searches")
+        makes = tables_made(str(until), settings, detector)
+        if "candidates" in makes and finder != "truth":
+            makes = (*makes, "searches")
         if has_events:
-            made = (*made, "events")
-        missing = [name for name in names if name in TABLES and name not in made]
+            makes = (*makes, "events")
+        missing = [name for name in names if name in TABLES and name not in makes]
         if missing:
-            problems.note("keep", f"{', '.join(missing)}, which this run does not make", f"some of {', '.join(made)}")
+            problems.note("keep", f"{', '.join(missing)}, which this run does not make", f"some of {', '.join(makes)}")
     problems.report("run")
     if callable(finder) and isinstance(workers.executor, ProcessPoolExecutor):
         try:

@@ -163,7 +163,7 @@ def tables_made(until: str, settings: Settings, detector: Detector) -> tuple[str
     detector : Detector
         Of its reconstruction.
     """
-    made = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
+    names = {name for names in BY_STAGE[: STAGES.index(until) + 1] for name in names}
     if until == "fit":
         refine = settings.refine
         fitted_time = refine.start_time == "fitted"
@@ -175,8 +175,8 @@ def tables_made(until: str, settings: Settings, detector: Detector) -> tuple[str
             "refined_wire_hits": fitted_time or refine.drift_times == "raw",
             "refined_clusters": _follows_tracks(detector),
         }
-        made |= {name for name, on in optional.items() if on}
-    return tuple(name for name in TABLES if name in made)
+        names |= {name for name, on in optional.items() if on}
+    return tuple(name for name in TABLES if name in names)
 
 
 def for_run(settings: Settings, detector: Detector) -> Settings:

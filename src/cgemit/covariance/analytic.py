@@ -62,13 +62,13 @@ def at_cylinders(tracks: Tracks, radius: Floats) -> tuple[Tracks, Columns]:
     offsets = np.concatenate([[0], ends])
     kappa, tanl = np.full(len(radius), np.nan), np.full(len(radius), np.nan)
     status, entries = out["status"].copy(), np.full((len(radius), 15), np.nan)
-    for one in np.unique(radius):
-        rows = np.flatnonzero((radius == one) & (out["status"] == FitStatus.ok))
-        found = _states(tracks, hits, offsets, rows, float(one))
-        kappa[rows], tanl[rows] = found["helix"][:, 2], found["helix"][:, 4]
-        entries[rows] = found["cov"][:, UPPER[0], UPPER[1]]
+    for cylinder in np.unique(radius):
+        rows = np.flatnonzero((radius == cylinder) & (out["status"] == FitStatus.ok))
+        states = _states(tracks, hits, offsets, rows, float(cylinder))
+        kappa[rows], tanl[rows] = states["helix"][:, 2], states["helix"][:, 4]
+        entries[rows] = states["cov"][:, UPPER[0], UPPER[1]]
         for lost, instead in _LOST.items():
-            status[rows[found["status"] == lost]] = instead
+            status[rows[states["status"] == lost]] = instead
     at = dataclasses.replace(tracks, kappa=kappa, tanl=tanl)
     return at, out | {"covariance": entries, "status": status}
 
@@ -259,13 +259,13 @@ def tracks_at(
     if fit.beam is not None:
         raise ValueError(f"fit.beam: got {fit.beam}, expected None: expected resolutions do without the beam spot")
     hits = expected_hits(detector, digitize, fit)
-    number = points.samples or (_SAMPLES if hits.vary or points.vary else 1)
-    sample = sample_of(points, number, len(detector.layers))
-    scatter = number > 1 and points.at_origin
+    samples = points.samples or (_SAMPLES if hits.vary or points.vary else 1)
+    sample = sample_of(points, samples, len(detector.layers))
+    scatter = samples > 1 and points.at_origin
     scatters = near_ends(detector, sample.kappa, sample.tanl) if scatter else np.zeros(len(sample.kappa))
     tracks = Tracks(
         detector, fit, hits.model, sample.psi, sample.kappa, sample.tanl, sample.mass, sample.charge,
-        scatters.astype(np.float64), number, sample.phases, threads,
+        scatters.astype(np.float64), samples, sample.phases, threads,
         efficiencies_of(detector, sample.kappa, sample.tanl, sample.mass, sample.charge),
     )  # fmt: skip
     return sample, tracks
@@ -319,11 +319,11 @@ def with_errors_of(model: HitModel, detector: Detector) -> HitModel:
     groups = detector.groups
     errors = [_errors(group, clusterer_of(group.readout)) for group in groups]
     angles = max(values.shape[1] for one in errors for values in one)
-    found = np.empty((3, len(detector.layers), angles))
+    columns = np.empty((3, len(detector.layers), angles))
     for group, one in zip(groups, errors, strict=True):
-        for column, values in zip(found, one, strict=True):
+        for column, values in zip(columns, one, strict=True):
             column[list(group.numbers)] = values
-    x, v, correlation = (column.ravel().tolist() for column in found)
+    x, v, correlation = (column.ravel().tolist() for column in columns)
     cos_theta = COS_THETA if angles > 1 else np.zeros(1)
     return model | {"cos_theta": cos_theta.tolist(), "sigma_x": x, "sigma_v": v, "corr_xv": correlation}
 

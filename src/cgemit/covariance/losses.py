@@ -100,10 +100,10 @@ class Losses(Shown):
 
     def grouped(self) -> dict[str, Floats]:
         """Return the effective radiation lengths of each part, (points,)."""
-        found: dict[str, Floats] = {}
+        groups: dict[str, Floats] = {}
         for number, part in enumerate(self.parts):
-            found[part] = found.get(part, np.zeros(len(self.p))) + self.effective[:, number]
-        return found
+            groups[part] = groups.get(part, np.zeros(len(self.p))) + self.effective[:, number]
+        return groups
 
     def table(self, by: Literal["part", "slab"] = "part") -> dict[str, npt.NDArray[Any]]:
         """Return one row per point and part (or slab) as columns: effective radiation lengths and their share."""
@@ -273,9 +273,9 @@ class Response:
         return np.asarray(np.interp(np.asarray(change, np.float64), edges, np.append(0.0, np.cumsum(self.probability))))
 
 
-def _shares(what: str, given: npt.ArrayLike) -> Floats:
+def _shares(what: str, shares: npt.ArrayLike) -> Floats:
     """Return shares as an array; raise ValueError that names the first wrong one."""
-    x = np.asarray(given, np.float64)
+    x = np.asarray(shares, np.float64)
     wrong = ~((x > 0) & (x < 1))
     if np.any(wrong):
         raise ValueError(f"{what}: got {x[wrong].flat[0]:g}; expected shares between 0 and 1")

@@ -83,21 +83,21 @@ def core_widths(found: Sequence[Entries], quantities: Sequence[str]) -> list[Wid
     ]
 
 
-def _parts(found: Sequence[Entries]) -> Iterator[Sequence[Entries]]:
-    step = max(1, _MOST_TRACKS // len(found[0].status))
-    return (found[i : i + step] for i in range(0, len(found), step))
+def _parts(entries: Sequence[Entries]) -> Iterator[Sequence[Entries]]:
+    step = max(1, _MOST_TRACKS // len(entries[0].status))
+    return (entries[i : i + step] for i in range(0, len(entries), step))
 
 
-def _together(found: Sequence[Entries], quantities: Sequence[str]) -> Iterator[Widths]:
-    sample, count = found[0].sample, len(found)
-    number = len(sample.phases)
-    n_points = sample.kappa.size // number
-    covariance = np.stack([one.covariance for one in found])
+def _together(entries: Sequence[Entries], quantities: Sequence[str]) -> Iterator[Widths]:
+    sample, count = entries[0].sample, len(entries)
+    samples = len(sample.phases)
+    n_points = sample.kappa.size // samples
+    covariance = np.stack([one.covariance for one in entries])
     at = sample.kappa, sample.tanl, sample.charge
     every = np.array([quantity_of(name).variance(covariance, *at) for name in quantities])
-    sigma = core_width(every.reshape(-1, number)).reshape(len(quantities), count, -1)
-    status, reached = status_of(np.stack([one.status for one in found]).reshape(-1, number))
-    weak = unconstrained(covariance, sample.kappa, sample.tanl, number).ravel()
+    sigma = core_width(every.reshape(-1, samples)).reshape(len(quantities), count, -1)
+    status, reached = status_of(np.stack([one.status for one in entries]).reshape(-1, samples))
+    weak = unconstrained(covariance, sample.kappa, sample.tanl, samples).ravel()
     status[weak] = FitStatus.unconstrained
     for row, name in zip(sigma, quantities, strict=True):
         if quantity_of(name).is_momentum:
@@ -158,21 +158,21 @@ class Source:
 
 def sources(detector: Detector) -> tuple[Source, ...]:
     """Return the terms of a detector's budgets, in the order of the core."""
-    found = [Source(f"{layer.label} {view}", layer.label, MEASUREMENT) for layer in detector.layers for view in "XV"]
+    sources = [Source(f"{layer.label} {view}", layer.label, MEASUREMENT) for layer in detector.layers for view in "XV"]
     chamber = detector.drift_chamber
     if chamber is not None:
-        found += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
+        sources += [Source(f"wires {layer.number}", "wires", MEASUREMENT) for layer in chamber.layers]
     for slab in slabs(detector):
-        first, part = slab.shells[0], part_of(detector, slab)
-        name = f"{part} {first.group}" if part != first.group else f"{first.group} {first.r_in:.5g} mm"
+        first, part_name = slab.shells[0], part_of(detector, slab)
+        name = f"{part_name} {first.group}" if part_name != first.group else f"{first.group} {first.r_in:.5g} mm"
         for cause, weight in ((SCATTERING, "x0"), (STRAGGLING, "xi")):
             total = getattr(slab, weight)
             shares: dict[str, float] = {}
             for shell in slab.shells:
                 material = shell.material.name
                 shares[material] = shares.get(material, 0.0) + getattr(shell, weight) / total
-            found.append(Source(f"{name} {cause}", part, cause, tuple(shares.items())))
-    return (*found, Source("prior", "prior", PRIOR))
+            sources.append(Source(f"{name} {cause}", part_name, cause, tuple(shares.items())))
+    return (*sources, Source("prior", "prior", PRIOR))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,9 +229,9 @@ class Budget(Shown):
             If `by` is none of these.
         """
         groups: dict[str, Floats] = {}
-        for number, source in enumerate(self.sources):
+        for row, source in enumerate(self.sources):
             for name, share in _groups(source, by):
-                groups[name] = groups.get(name, np.zeros(self.p.shape)) + share * self.variances[..., number]
+                groups[name] = groups.get(name, np.zeros(self.p.shape)) + share * self.variances[..., row]
         return groups
 
     def table(self, by: By = "source") -> dict[str, npt.NDArray[Any]]:
@@ -258,9 +258,9 @@ class Budget(Shown):
             part for part, what in pairs if what == "matter"
         }
         groups: dict[str, Floats] = {}
-        for number, (part, what) in enumerate(pairs):
+        for row, (part, what) in enumerate(pairs):
             name = f"{part} {what}" if part in both else part
-            groups[name] = groups.get(name, np.zeros(self.p.shape)) + self.variances[..., number]
+            groups[name] = groups.get(name, np.zeros(self.p.shape)) + self.variances[..., row]
         return groups
 
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
@@ -342,13 +342,13 @@ def budget_of(
     return Budget(known.name, known.unit, names, p, cos_theta, variance, *about)
 
 
-def losses_of(tracks: Tracks, found: Covariance) -> Losses:
+def losses_of(tracks: Tracks, resolution: Covariance) -> Losses:
     """Return the losses of electrons that the fit does not see.
 
     Parameters
     ----------
     tracks : Tracks
-    found : Covariance
+    resolution : Covariance
         Of these tracks.
 
     Raises
@@ -356,9 +356,9 @@ def losses_of(tracks: Tracks, found: Covariance) -> Losses:
     ValueError
         As `Covariance.losses`.
     """
-    problems, fit, points = Problems(), tracks.fit, found.points
+    problems, fit, points = Problems(), tracks.fit, resolution.points
     if np.any(points.mass > _LIGHT):
-        problems.note("particle", found.particle, "e- or e+")
+        problems.note("particle", resolution.particle, "e- or e+")
     if any(np.any(low != high) for low, high in (points.p, points.cos_theta)):
         problems.note("p, cos_theta", "a range", "fixed values")
     wanted = {"loss": "truncated", "radiation": True, "matter": True, "start_radius": 0.0}
@@ -366,31 +366,31 @@ def losses_of(tracks: Tracks, found: Covariance) -> Losses:
         if getattr(fit, name) != value:
             problems.note(f"fit.{name}", repr(getattr(fit, name)), repr(value))
     problems.report("losses")
-    p, cosine = found.p.ravel(), found.cos_theta.ravel()
-    kappa, momentum = found.budget("kappa"), found.budget("p")
+    p, cosine = resolution.p.ravel(), resolution.cos_theta.ravel()
+    kappa, momentum = resolution.budget("kappa"), resolution.budget("p")
     straggles = [number for number, one in enumerate(kappa.sources) if one.cause == STRAGGLING]
     rest = [number for number, one in enumerate(kappa.sources) if one.cause != STRAGGLING]
     by_slab = kappa.variances.reshape(len(p), -1)[:, straggles]
     error = np.sqrt(momentum.variances.reshape(len(p), -1)[:, rest].sum(axis=1)) * 1e-3 / p
-    core, inner = compiled_for_fit(found.detector, fit), slabs(found.detector)
+    core, inner = compiled_for_fit(resolution.detector, fit), slabs(resolution.detector)
     slope = cosine / np.sqrt(1 - cosine**2)
     slant = np.hypot(1.0, slope)
     # Of a helix from the origin in the field there; matter that it does not reach is not in the budget.
-    bend = 0.5 * GEV_PER_T_MM * abs(found.detector.field.bz) * slant / p
+    bend = 0.5 * GEV_PER_T_MM * abs(resolution.detector.field.bz) * slant / p
     across = np.minimum(bend[:, None] * np.array([one.radius for one in inner]), 0.99)
     path = slant[:, None] / np.sqrt(1 - across**2)
-    mass = np.broadcast_to(points.mass, found.p.shape).ravel()
-    charge = np.broadcast_to(points.charge, found.p.shape).ravel()
+    mass = np.broadcast_to(points.mass, resolution.p.shape).ravel()
+    charge = np.broadcast_to(points.charge, resolution.p.shape).ravel()
     unseen = [
         core.with_shared_loss(row, p=float(p[i]), mass=float(mass[i]), tanl=float(slope[i])).unseen
         for i, row in enumerate(by_slab)
     ]
-    assumed = (found.detector, fit.screening or SCREENINGS[0], True, fit.momentum_error)
+    assumed = (resolution.detector, fit.screening or SCREENINGS[0], True, fit.momentum_error)
     cut = [unseen_cut(*assumed, float(one), float(tanl)) for one, tanl in zip(p, slope, strict=True)]
-    about = [kappa.sources[number] for number in straggles]
+    straggling = [kappa.sources[number] for number in straggles]
     return Losses(
-        found.detector.name, found.particle, float(charge[0]),
-        tuple(one.name.removesuffix(f" {STRAGGLING}") for one in about), tuple(one.part for one in about),
+        resolution.detector.name, resolution.particle, float(charge[0]),
+        tuple(one.name.removesuffix(f" {STRAGGLING}") for one in straggling), tuple(one.part for one in straggling),
         p, cosine, path * np.array([one.x0 for one in inner]), path * np.array([one.xi for one in inner]),
         np.array(unseen), error, np.array(cut),
     )  # fmt: skip
@@ -437,9 +437,9 @@ class Covariance:
 
         It is `unconstrained` where the momentum is not measured: its error exceeds half of it.
         """
-        found = status_of(self._by_point("status"))[0]
-        found[self._unconstrained] = FitStatus.unconstrained
-        return found.reshape(self.p.shape)
+        status = status_of(self._by_point("status"))[0]
+        status[self._unconstrained] = FitStatus.unconstrained
+        return status.reshape(self.p.shape)
 
     @cached_property
     def _unconstrained(self) -> npt.NDArray[np.bool_]:
@@ -464,9 +464,9 @@ class Covariance:
     @cached_property
     def cov(self) -> Floats:
         """Mean covariance of the samples with one, shape + (5, 5): mm, rad, (GeV/c)^-1."""
-        found = np.empty((*self.p.shape, 5, 5))
-        found[..., UPPER[0], UPPER[1]] = found[..., UPPER[1], UPPER[0]] = self._mean("covariance")
-        return found
+        cov = np.empty((*self.p.shape, 5, 5))
+        cov[..., UPPER[0], UPPER[1]] = cov[..., UPPER[1], UPPER[0]] = self._mean("covariance")
+        return cov
 
     def _mean(self, name: str) -> Floats:
         """Return the mean of a column over the samples with a covariance, shape + that of its entries."""
@@ -517,11 +517,11 @@ class Covariance:
         It is NaN without a covariance, and for momenta and kappa where the status is `unconstrained`.
         """
         tracks, known = self._tracks, quantity_of(quantity)
-        found = known.variance(self._columns["covariance"], tracks.kappa, tracks.tanl, tracks.charge)
-        found = found.reshape(-1, tracks.samples)
+        variance = known.variance(self._columns["covariance"], tracks.kappa, tracks.tanl, tracks.charge)
+        variance = variance.reshape(-1, tracks.samples)
         if known.is_momentum:
-            found[self._unconstrained] = np.nan
-        return found.reshape(*self.p.shape, tracks.samples)
+            variance[self._unconstrained] = np.nan
+        return variance.reshape(*self.p.shape, tracks.samples)
 
     def budget(self, quantity: str) -> Budget:
         """Return the exact split of the mean variance by measurement and scatterer.

@@ -62,16 +62,16 @@ def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.detect
     smooth = [_with_stereo(one, base.detector) for one, _ in variants]  # as the cores are
     models = [with_errors_of(tracks.model, one) for one in smooth]
     same = [number for number, model in enumerate(models) if model == tracks.model]
-    found: dict[int, Floats] = {}
+    by_variant: dict[int, Floats] = {}
     if same:
         cores = [variants[number][1] for number in same]
-        found = dict(zip(same, tracks.run(budget=False, variants=cores)["covariance"][1:], strict=True))
-    for number, (model, (_, core)) in enumerate(zip(models, variants, strict=True)):
-        if number not in found:  # the errors of its clusters differ
+        by_variant = dict(zip(same, tracks.run(budget=False, variants=cores)["covariance"][1:], strict=True))
+    for i, (model, (_, core)) in enumerate(zip(models, variants, strict=True)):
+        if i not in by_variant:  # the errors of its clusters differ
             own = dataclasses.replace(tracks, model=model)
-            found[number] = own.run(budget=False, variants=[core])["covariance"][1]
+            by_variant[i] = own.run(budget=False, variants=[core])["covariance"][1]
     return [
-        dataclasses.replace(base, detector=one, _columns={**base._columns, "covariance": found[number]})
+        dataclasses.replace(base, detector=one, _columns={**base._columns, "covariance": by_variant[number]})
         for number, (one, _) in enumerate(variants)
     ]
 
@@ -249,11 +249,11 @@ def sensitivity(
 def _check_number(detector: Detector, key: str, problems: Problems) -> None:
     """Note a key that stands for nothing, or for something else than numbers."""
     before = len(problems)
-    found = values_at(detector, key, problems)
+    values = values_at(detector, key, problems)
     if len(problems) == before and not all(
-        one and one[0] is not None and (one[1].kind in NATIVE or one[1].kind == "integer") for one in found
+        one and one[0] is not None and (one[1].kind in NATIVE or one[1].kind == "integer") for one in values
     ):
-        problems.note(key, "no number", "the dotted key of a number", unknown=None in found)
+        problems.note(key, "no number", "the dotted key of a number", unknown=None in values)
 
 
 def logarithmic_slopes(
@@ -277,27 +277,27 @@ def logarithmic_slopes(
     values = np.full((len(keys), len(quantities), *base.p.shape), np.nan)
     problems: dict[str, str] = {}
     neighbours: dict[int, _Neighbour] = {}
-    for number, key in enumerate(keys):
-        found = _neighbour(base, detector, key)
-        if isinstance(found, str):
-            problems[key] = found
+    for i, key in enumerate(keys):
+        neighbour = _neighbour(base, detector, key)
+        if isinstance(neighbour, str):
+            problems[key] = neighbour
         else:
-            neighbours[number] = found
+            neighbours[i] = neighbour
     variants = [(one.detector, one.core) for one in neighbours.values()]
     if detector is base.detector:
-        own, others = base, with_cores(base, variants)
+        centre, varied_ones = base, with_cores(base, variants)
     else:
-        own, *others = with_cores(base, [(detector, core_of(base, detector)), *variants])
+        centre, *varied_ones = with_cores(base, [(detector, core_of(base, detector)), *variants])
     steps = np.array([one.step for one in neighbours.values()]).reshape(-1, *(1,) * base.p.ndim)
     for column, name in enumerate(quantities):
-        logs = np.log(_sigmas([own, *others], name))
+        logs = np.log(_sigmas([centre, *varied_ones], name))
         values[list(neighbours), column] = (logs[1:] - logs[0]) / steps
     return values, problems
 
 
-def _sigmas(found: Sequence[Covariance], quantity: str) -> Floats:
+def _sigmas(resolutions: Sequence[Covariance], quantity: str) -> Floats:
     """Return `Covariance.sigma` of detectors with the same tracks, (detectors,) + shape of the points."""
-    every = np.stack([one.variances(quantity) for one in found])
+    every = np.stack([one.variances(quantity) for one in resolutions])
     return core_width(every.reshape(-1, every.shape[-1])).reshape(every.shape[:-1])
 
 

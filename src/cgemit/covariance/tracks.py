@@ -76,7 +76,7 @@ class Tracks:
 
         def part(first: int) -> dict[str, npt.NDArray[Any]]:
             rows = slice(first, min(first + step, n))
-            found: dict[str, Any] = _core.covariance.covariances(
+            columns: dict[str, Any] = _core.covariance.covariances(
                 core, phi=self.phi[rows], kappa=self.kappa[rows], tanl=self.tanl[rows], mass=self.mass[rows],
                 charge=self.charge[rows], scatters=self.scatters[rows],
                 samples=self.samples, phases=self.phases,
@@ -84,10 +84,10 @@ class Tracks:
                 variants=list(variants),
             )  # fmt: skip
             if hits:
-                found |= {f"hit_{name}": column for name, column in found.pop("hits").items()}
+                columns |= {f"hit_{name}": column for name, column in columns.pop("hits").items()}
             if not variants:
-                return found
-            return {name: column.reshape(1 + len(variants), -1, *column.shape[1:]) for name, column in found.items()}
+                return columns
+            return {name: column.reshape(1 + len(variants), -1, *column.shape[1:]) for name, column in columns.items()}
 
         starts = range(0, n, step)
         if len(starts) == 1:
@@ -129,16 +129,18 @@ def efficiencies_of(detector: Detector, kappa: Floats, tanl: Floats, mass: Float
         return np.zeros(0)
     slant = np.hypot(1.0, tanl)
     ln_betagamma = np.log(charge * slant / np.abs(kappa) / mass)
-    found = np.ones((len(kappa), len(detector.layers)))
-    for number, layer in enumerate(detector.layers):
+    efficiency = np.ones((len(kappa), len(detector.layers)))
+    for layer_number, layer in enumerate(detector.layers):
         if layer.gas is None:
-            found[:, number] = layer.efficiency
+            efficiency[:, layer_number] = layer.efficiency
             continue
         turned, _ = path_to(layer.r_mid, kappa, detector.field.bz)
         path = layer.drift_gap * slant / np.maximum(np.cos(turned), _MOST_SLANTED)
         clusters = charge**2 * clusters_per_mm(layer.gas, ln_betagamma) * path
-        found[:, number] = layer.efficiency * enough_electrons(layer.gas, clusters, layer.readout.least_electrons)
-    return found
+        efficiency[:, layer_number] = layer.efficiency * enough_electrons(
+            layer.gas, clusters, layer.readout.least_electrons
+        )
+    return efficiency
 
 
 #: Of the distance to an end: scatters move tracks by less than a fifth of it.
@@ -162,22 +164,22 @@ def near_ends(detector: Detector, kappa: Floats, tanl: Floats) -> npt.NDArray[np
     """
     layers = [(layer.r_mid, *layer.ends) for layer in detector.layers]
     layers += _wire_layers(detector.drift_chamber) if detector.drift_chamber is not None else []
-    found = np.zeros(len(kappa), bool)
+    is_near = np.zeros(len(kappa), bool)
     if not layers:
-        return found
+        return is_near
     radius, low, high = np.array(layers).T
     steep = np.abs(tanl)
     # The arc to a cylinder is at most half a turn about its radius.
     maybe = np.flatnonzero(0.5 * np.pi * steep > _NEAR * np.min(np.minimum(-low, high) / radius))
     if not len(maybe):
-        return found
+        return is_near
     _, arc = path_to(radius, kappa[maybe, None], detector.field.bz)
     z, back = steep[maybe, None] * arc, tanl[maybe, None] < 0
     far, near = np.where(back, -low, high), np.where(back, -high, low)
     # Of a layer beside z = 0, tracks come near the first end, too, and none behind reaches it.
     begins = (near >= 0) & (np.abs(z - near) < (1 - _NEAR) * np.maximum(z, near) + _SCATTER * arc)
-    found[maybe] = np.any(np.where(far > 0, z > _NEAR * far, z < far + _SCATTER * arc) | begins, axis=1)
-    return found
+    is_near[maybe] = np.any(np.where(far > 0, z > _NEAR * far, z < far + _SCATTER * arc) | begins, axis=1)
+    return is_near
 
 
 def mean(values: npt.NDArray[Any], good: npt.NDArray[np.bool_]) -> Floats:
@@ -207,16 +209,18 @@ def status_of(status: npt.NDArray[np.int8]) -> tuple[npt.NDArray[np.int8], Float
 
 
 @functools.lru_cache(maxsize=16)
-def draws(number: int, dimensions: int) -> Floats:
+def draws(samples: int, dimensions: int) -> Floats:
     """Return (number, dimensions) numbers from 0 to 1: azimuths in equal steps, the others from a Sobol sequence."""
     from scipy.stats import qmc
 
-    found = np.empty((number, dimensions))
-    found[:, 0] = (np.arange(number) + 0.5) / number
-    rest = qmc.Sobol(dimensions - 1, scramble=True, rng=np.random.default_rng(1)).random(1 << (number - 1).bit_length())
-    found[:, 1:] = rest[:number]
-    found.flags.writeable = False
-    return found
+    numbers = np.empty((samples, dimensions))
+    numbers[:, 0] = (np.arange(samples) + 0.5) / samples
+    rest = qmc.Sobol(dimensions - 1, scramble=True, rng=np.random.default_rng(1)).random(
+        1 << (samples - 1).bit_length()
+    )
+    numbers[:, 1:] = rest[:samples]
+    numbers.flags.writeable = False
+    return numbers
 
 
 def core_width(variances: Floats) -> Floats:
@@ -238,11 +242,11 @@ def core_width(variances: Floats) -> Floats:
             if len(left) == 0:
                 break
             now = square[left]
-            found, slope = _narrowed(now, v[left], weight[left])
+            narrowed, slope = _narrowed(now, v[left], weight[left])
             # Newton's step to the fixed point, where the slope is not too close to 1.
-            better = now + (found - now) / (1 - slope)
+            better = now + (narrowed - now) / (1 - slope)
             newton = (slope < 0.5) & (better > 0)
-            square[left] = np.where(newton, better, found)
+            square[left] = np.where(newton, better, narrowed)
             # The error after a step of Newton is of second order in the step.
             left = left[np.abs(square[left] - now) > np.where(newton, 1e-8, 1e-13) * now]
         return np.asarray(np.sqrt(square))
@@ -256,11 +260,11 @@ def _narrowed(square: Floats, v: Floats, weight: Floats) -> tuple[Floats, Floats
     inside = weight * erf(u / math.sqrt(2))
     edge = weight * u * math.sqrt(2 / math.pi) * np.exp(-0.5 * u * u)
     total = inside.sum(axis=1)
-    found = (v * (inside - edge)).sum(axis=1) / total / SECOND_INSIDE
+    width = (v * (inside - edge)).sum(axis=1) / total / SECOND_INSIDE
     # d(inside)/du = edge/u, d(second)/du = v u edge, du/d(square) = u/(2 square), and v u^2 = 9 square.
     edges = edge.sum(axis=1)
-    slope = (4.5 / SECOND_INSIDE - 0.5 * found / square) * edges / total
-    return found, slope
+    slope = (4.5 / SECOND_INSIDE - 0.5 * width / square) * edges / total
+    return width, slope
 
 
 Quantity = float | str | tuple[float | str, float | str] | npt.ArrayLike
@@ -348,11 +352,11 @@ def points_of(
     ValueError
         Listing every problem.
     """
-    given: tuple[Any, ...] = (particle, p, cos_theta, phi, radius, charge, mass, samples)
+    arguments: tuple[Any, ...] = (particle, p, cos_theta, phi, radius, charge, mass, samples)
     try:
-        return _points_once(*given)
+        return _points_once(*arguments)
     except TypeError:  # lists and arrays cannot be looked up
-        return _points(*given)
+        return _points(*arguments)
 
 
 def _points(
@@ -455,31 +459,31 @@ def sample_of(points: Points, number: int, layers: int) -> Sample:
     return Sample(psi.ravel(), kappa, tanl, mass, charge, np.ascontiguousarray(drawn[:, 3:]))
 
 
-def _limits(name: str, given: Any, dimension: str, problems: Problems) -> tuple[Floats, Floats]:
+def _limits(name: str, raw: Any, dimension: str, problems: Problems) -> tuple[Floats, Floats]:
     """Return the lower and upper limits of a range, or the same values twice."""
-    if dimension and isinstance(given, str):
-        given = split_values(name, given, Limits(dimension), problems)
-        given = 0.5 if given is NO else given
-    if isinstance(given, tuple) and len(given) == 2:
-        low, high = (_numbers(f"{name}[{i}]", one, dimension, problems) for i, one in enumerate(given))
+    if dimension and isinstance(raw, str):
+        raw = split_values(name, raw, Limits(dimension), problems)
+        raw = 0.5 if raw is NO else raw
+    if isinstance(raw, tuple) and len(raw) == 2:
+        low, high = (_numbers(f"{name}[{i}]", one, dimension, problems) for i, one in enumerate(raw))
         if low.shape or high.shape or low > high:
-            problems.note(name, f"{given!r:.60}", "a range (low, high) of numbers")
+            problems.note(name, f"{raw!r:.60}", "a range (low, high) of numbers")
         return low, high
-    values = _numbers(name, given, dimension, problems)
+    values = _numbers(name, raw, dimension, problems)
     return values, values
 
 
-def _numbers(name: str, given: Any, dimension: str, problems: Problems) -> Floats:
+def _numbers(name: str, raw: Any, dimension: str, problems: Problems) -> Floats:
     try:
-        if dimension and isinstance(given, str):
-            return np.asarray(number_of(given, dimension), np.float64)
-        if dimension and isinstance(given, list):
-            given = [number_of(one, dimension) if isinstance(one, str) else one for one in given]
-        return np.asarray(given, np.float64)
+        if dimension and isinstance(raw, str):
+            return np.asarray(number_of(raw, dimension), np.float64)
+        if dimension and isinstance(raw, list):
+            raw = [number_of(one, dimension) if isinstance(one, str) else one for one in raw]
+        return np.asarray(raw, np.float64)
     except QuantityError as error:
         problems.take(error, name)
     except (TypeError, ValueError):
-        problems.note(name, f"{given!r:.60}", "one or more numbers")
+        problems.note(name, f"{raw!r:.60}", "one or more numbers")
     return np.array(0.5)
 
 

@@ -326,9 +326,9 @@ def _with_strips(detector: Detector, level: BackgroundLevel, factor: float, digi
     columns = stacked(digis, strips)
     order, first = _core.simulation.by_channel(columns["event"], columns["gid"], np.zeros(len(digis) + n))
     # Several digis of particles in one place are the digitization's own affair: only background gives way.
-    kept = order < len(digis)
-    kept[first] = True
-    digis = without_dead(detector, _like(digis, columns, order[kept]))
+    is_kept = order < len(digis)
+    is_kept[first] = True
+    digis = without_dead(detector, _like(digis, columns, order[is_kept]))
     if level.dead_strips > 0:
         digis = digis[channel_kinds(digis["gid"], STRIPS) >= level.dead_strips]
     return digis
@@ -435,46 +435,46 @@ def mix_events(
     drawn = _uniforms(seed, wire_hits.events, _core.common.Purpose.mixed_event)
     chosen = (drawn[:, 0] * n).astype(np.int64)
     shift = offset[0] + (offset[1] - offset[0]) * drawn[:, 1]
-    found = {
+    mixed = {
         "digis": digis,
         "wire_hits": _mixed_cells(relations_of(detector), wire_hits, tables["wire_hits"], chosen, shift),
     }
     if all(bool((one["strip"] >= 0).all()) for one in (digis, tables["digis"])):
-        found["digis"] = _mixed_strips(digis, tables["digis"], chosen, shift)
-    return found
+        mixed["digis"] = _mixed_strips(digis, tables["digis"], chosen, shift)
+    return mixed
 
 
-def _mixed_cells(relations: DriftRelations, given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
-    more, shift = _of_others(given, other, "drift_time", chosen, shift)
+def _mixed_cells(relations: DriftRelations, cells: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
+    more, shift = _of_others(cells, other, "drift_time", chosen, shift)
     # At the same time nothing changes: the measured distance is kept to the last digit.
     distance = relations.distance_at(more["layer"], more["drift_time"])
     drift = np.where(shift == 0, more["drift"], np.maximum(distance, 0.0))
     return _earliest(
-        given, more | {"drift": drift, "wire_truth": np.full(len(shift), -1), "side": np.zeros(len(shift))}
+        cells, more | {"drift": drift, "wire_truth": np.full(len(shift), -1), "side": np.zeros(len(shift))}
     )
 
 
-def _mixed_strips(given: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
-    more, shift = _of_others(given, other, "time", chosen, shift)
-    columns = stacked(given, more | {"truth": np.full(len(shift), -1), "n_truths": np.zeros(len(shift))})
+def _mixed_strips(digis: Table, other: Table, chosen: Rows, shift: Floats) -> Table:
+    more, shift = _of_others(digis, other, "time", chosen, shift)
+    columns = stacked(digis, more | {"truth": np.full(len(shift), -1), "n_truths": np.zeros(len(shift))})
     # The first row of a strip is that of the given event.
     order, first = _core.simulation.by_channel(columns["event"], columns["gid"], np.zeros(len(columns["event"])))
-    found = _like(given, columns, order[first])
-    if not len(found):
-        return found
+    merged_digis = _like(digis, columns, order[first])
+    if not len(merged_digis):
+        return merged_digis
     charge, time = np.add.reduceat(columns["charge"][order], first), np.minimum.reduceat(columns["time"][order], first)
-    return found.with_columns(charge=charge, time=time)
+    return merged_digis.with_columns(charge=charge, time=time)
 
 
-def _of_others(given: Table, other: Table, clock: str, chosen: Rows, shift: Floats) -> tuple[dict[str, Any], Floats]:
+def _of_others(own_rows: Table, other: Table, clock: str, chosen: Rows, shift: Floats) -> tuple[dict[str, Any], Floats]:
     """Return the columns of the chosen events' rows that are in time for the given events, and the shift of each."""
     count = np.diff(other.offsets)[chosen]
     event = np.repeat(np.arange(len(chosen)), count)
     rows = np.arange(len(event)) + np.repeat(other.offsets[chosen] - np.cumsum(count) + count, count)
     time = other[clock][rows] + shift[event]
-    inside = (time >= BEGIN) & (time <= WINDOWS[given.kind])
-    columns = {name: other[name][rows[inside]] for name in given if name in other}
-    return columns | {"event": given.events[event[inside]], clock: time[inside]}, shift[event[inside]]
+    inside = (time >= BEGIN) & (time <= WINDOWS[own_rows.kind])
+    columns = {name: other[name][rows[inside]] for name in own_rows if name in other}
+    return columns | {"event": own_rows.events[event[inside]], clock: time[inside]}, shift[event[inside]]
 
 
 def _identity(folder: str | os.PathLike[str]) -> tuple[str, int]:

@@ -65,14 +65,16 @@ def in_layer_axes(detector: Detector, truths: Table, steps: Table) -> tuple[Tabl
     at, length = _points(steps, "x", "y", "z"), _points(steps, "dx", "dy", "dz")
     along = direction[steps["truth"]]
     for number, layer in enumerate(detector.layers):
-        mine, of_mine = truths["layer"] == number, steps["layer"] == number
+        of_layer, of_mine = truths["layer"] == number, steps["layer"] == number
         if layer.is_moved:
             for points in (entry, out, middle):
-                points[mine] = seen_by(layer, points[mine], direction[mine])
+                points[of_layer] = seen_by(layer, points[of_layer], direction[of_layer])
             at[of_mine], length[of_mine] = _steps_seen_by(layer, at[of_mine], length[of_mine], along[of_mine])
         if any(layer.sheet_z):
             shift = np.zeros(len(truths))
-            shift[mine] = np.array(layer.sheet_z)[layer.sheet_at(np.arctan2(middle[mine, 1], middle[mine, 0]))]
+            shift[of_layer] = np.array(layer.sheet_z)[
+                layer.sheet_at(np.arctan2(middle[of_layer, 1], middle[of_layer, 0]))
+            ]
             for points in (entry, out, middle):
                 points[:, 2] -= shift
             at[:, 2] -= shift[steps["truth"]]
@@ -214,9 +216,9 @@ def _seen(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
 
 def _of_some(truths: Table, steps: Table, some: npt.NDArray[np.bool_], read: Callable[[Table, Table], Table]) -> Table:
     """Return the digis that a function makes of some truths and their steps, with links to all truths."""
-    place = np.cumsum(some) - 1  # of a truth among those that are read
+    row = np.cumsum(some) - 1  # of a truth among those that are read
     own = steps[some[steps["truth"]]]
-    digis = read(truths[some], own.with_columns(truth=place[own["truth"]]))
+    digis = read(truths[some], own.with_columns(truth=row[own["truth"]]))
     link = np.append(np.flatnonzero(some), -1)[np.maximum(digis["truth"], -1)]
     return digis.with_columns(truth=link)
 
@@ -231,10 +233,10 @@ def _digis(detector: Detector, truths: Table, steps: Table, seed: int) -> Table:
     groups = detector.groups
     if len(groups) == 1:
         return read(groups[0], truths, steps)
-    found = []
+    digis = []
     for group in groups:
-        found.append(_of_some(truths, steps, group.owns(truths), partial(read, group)))
-    return merged(found)
+        digis.append(_of_some(truths, steps, group.owns(truths), partial(read, group)))
+    return merged(digis)
 
 
 def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table:
@@ -248,9 +250,9 @@ def outside_dead_areas(detector: Detector, digis: Table, truths: Table) -> Table
         In the axes of the layers; where a crossing is at mid-gap counts for all of it.
     """
     dead = np.zeros(len(truths), np.bool_)
-    for number, layer in enumerate(detector.layers):
+    for layer_number, layer in enumerate(detector.layers):
         if layer.dead_seam > 0 or layer.dead_ends > 0 or layer.ladder_gap > 0:
-            rows = np.flatnonzero(truths["layer"] == number)
+            rows = np.flatnonzero(truths["layer"] == layer_number)
             phi = truths["phi"][rows]
             turn = np.min([np.remainder(phi - start, 2 * np.pi) for start in layer.sheet_phi], axis=0)
             dead[rows] = in_dead_area(layer, layer.r_readout * turn, truths["z"][rows])

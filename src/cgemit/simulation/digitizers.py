@@ -80,11 +80,11 @@ class ProjectionDigitizer(Digitizer):
 
     def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the strips above threshold, see `Digitizer.digitize`."""
-        one = self.readout
+        readout = self.readout
         digis = _core.simulation.read_out_profiles(
-            compiled(group.detector), dict(truths.columns), dict(steps.columns), gain=one.gain,
-            w_values=w_values(group.detector), sigma=one.sigma, threshold=one.threshold, noise=one.noise, seed=seed,
-            gains=gain_table(group.detector),
+            compiled(group.detector), dict(truths.columns), dict(steps.columns), gain=readout.gain,
+            w_values=w_values(group.detector), sigma=readout.sigma, threshold=readout.threshold, noise=readout.noise,
+            seed=seed, gains=gain_table(group.detector),
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 
@@ -131,24 +131,24 @@ class AnalogDigitizer(Digitizer):
         ValueError
             If a layer's gas or field has no table of electron transport.
         """
-        one, detector, numbers = self.readout, group.detector, group.numbers
-        holes = np.array([layer.hole_pitch if one.holes else 0.0 for layer in group.cgem])
+        readout, detector, numbers = self.readout, group.detector, group.numbers
+        holes = np.array([layer.hole_pitch if readout.holes else 0.0 for layer in group.cgem])
         drift = drift_columns(detector, numbers) | {"hole_pitch": holes}
-        induced, reach = induced_charges(detector, one.diffusion, one.lorentz, numbers)
+        induced, reach = induced_charges(detector, readout.diffusion, readout.lorentz, numbers)
         return {
             # The core checks all layers. Others have numbers that it accepts, and induce nothing.
             "drift": {name: group.among_all(column, fill=1.0) for name, column in drift.items()}
             | {"w_value": w_values(detector)},
             "physics": {
-                "survival": one.survival,
-                "gain": one.gain,
-                "polya": one.polya if one.gain_fluctuation else np.inf,
-                "diffusion": one.diffusion,
-                "first_gain": one.first_gain,
-                "lorentz": one.lorentz,
+                "survival": readout.survival,
+                "gain": readout.gain,
+                "polya": readout.polya if readout.gain_fluctuation else np.inf,
+                "diffusion": readout.diffusion,
+                "first_gain": readout.first_gain,
+                "lorentz": readout.lorentz,
             },
-            "chip": chip_arguments(one),
-            "share_spread": one.share_spread,
+            "chip": chip_arguments(readout),
+            "share_spread": readout.share_spread,
             "way": WAY,
             "induced": (group.among_all(induced, 2, fill=0.0), reach),
         }

@@ -52,23 +52,23 @@ def parse_stack(text: str, problems: Problems) -> tuple[Layer, ...]:
         Added to; their path names the layer and its first character.
 
     """
-    found = []
+    layers = []
     # An exponent such as 1e+3 is not the end of a layer.
     ends = [m.start() for m in re.finditer(r"(?<![\d.][eE])\+", text)]
     starts = [0, *(end + 1 for end in ends)]
-    for number, (start, end) in enumerate(zip(starts, [*ends, len(text)], strict=True), 1):
-        part = text[start:end]
-        column = start + len(part) - len(part.lstrip()) + 1
-        layer = _layer(part, f"layer {number}, character {column}", problems)
+    for layer_number, (start, end) in enumerate(zip(starts, [*ends, len(text)], strict=True), 1):
+        words = text[start:end]
+        column = start + len(words) - len(words.lstrip()) + 1
+        layer = _layer(words, f"layer {layer_number}, character {column}", problems)
         if layer:
-            found.append(layer)
-    return tuple(found)
+            layers.append(layer)
+    return tuple(layers)
 
 
-def _layer(part: str, place: str, problems: Problems) -> Layer | None:
+def _layer(part: str, where: str, problems: Problems) -> Layer | None:
     name, _, rest = part.strip().partition(" ")
     if not name:
-        problems.note(place, "nothing", f"material and thickness, as {_EXAMPLE}")
+        problems.note(where, "nothing", f"material and thickness, as {_EXAMPLE}")
         return None
     before = len(problems)
     volumes = None
@@ -76,20 +76,20 @@ def _layer(part: str, place: str, problems: Problems) -> Layer | None:
     if fractions:
         volumes = tuple(map(float, fractions[1].split("/")))
         rest = rest[fractions.end() :]
-    density, thickness = _numbers(rest, place, problems)
+    density, thickness = _numbers(rest, where, problems)
     try:
         material, note = material_named(name, volumes, density)
     except MaterialNameError as error:
-        problems.take(error, place)
+        problems.take(error, where)
     return Layer(material, thickness, note) if len(problems) == before else None
 
 
-def _numbers(text: str, place: str, problems: Problems) -> tuple[float | None, float]:
+def _numbers(text: str, where: str, problems: Problems) -> tuple[float | None, float]:
     """Return density (None if not given) and thickness; 1 for a wrong value, since the name is still to be read."""
     quantities = [match[1] for match in _QUANTITY.finditer(text)]
     if re.sub(r"\s", "", "".join(quantities)) != re.sub(r"\s", "", text) or not 1 <= len(quantities) <= 2:
         given = f'"{text.strip()}" after the material' if text.strip() else "no thickness"
-        problems.note(place, given, f"a thickness, before it a density if need be, as {_EXAMPLE}")
+        problems.note(where, given, f"a thickness, before it a density if need be, as {_EXAMPLE}")
         return 1.0, 1.0
     limits = {"density": _DENSITIES, "length": (THINNEST, THICKEST)}
     values = []
@@ -99,13 +99,13 @@ def _numbers(text: str, place: str, problems: Problems) -> tuple[float | None, f
         try:
             value = parse_quantity(quantity, dimension)
         except QuantityError as error:
-            problems.take(error, place)
+            problems.take(error, where)
             continue
         if least <= value <= most:
             values[-1] = value
         else:
             expected = f"a {dimension} from {least:g} to {most:g} {NATIVE[dimension]}"
-            problems.note(place, f'"{quantity.strip()}"', expected)
+            problems.note(where, f'"{quantity.strip()}"', expected)
     return (values[0] if len(values) == 2 else None), values[-1]
 
 
@@ -150,27 +150,27 @@ def angle_estimates(angle_1: Floats, angle_2: Floats) -> dict[str, Estimate]:
     """
     pairs = np.abs(np.stack([angle_1, angle_2]))
     ordered = np.sort(pairs, axis=None)
-    found: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     for name, width in ANGLES.items():
         if (1 - width.inside) * ordered.size < _FEWEST:
-            found[name] = None, None
+            estimates[name] = None, None
             continue
         edge = float(np.quantile(ordered, width.inside))
         spread = float(np.std(np.mean(pairs <= edge, axis=0))) / math.sqrt(len(angle_1))
-        found[name] = edge / width.gaussian, _quantile_error(ordered, width.inside, spread) / width.gaussian
-    return found
+        estimates[name] = edge / width.gaussian, _quantile_error(ordered, width.inside, spread) / width.gaussian
+    return estimates
 
 
 def loss_estimates(loss: Floats) -> dict[str, Estimate]:
     """Return the numbers of `LOSSES` of a sample, (n,) float64, in its unit."""
     ordered = np.sort(loss)
     root = math.sqrt(len(loss))
-    found: dict[str, Estimate] = {"mean": (float(np.mean(loss)), float(np.std(loss, ddof=1)) / root)}
+    estimates: dict[str, Estimate] = {"mean": (float(np.mean(loss)), float(np.std(loss, ddof=1)) / root)}
     for name, fraction in _QUANTILES.items():
         spread = math.sqrt(fraction * (1 - fraction)) / root
-        found[name] = float(np.quantile(ordered, fraction)), _quantile_error(ordered, fraction, spread)
-    found |= _peak(loss, *(float(np.quantile(ordered, f)) for f in (0.16, 0.84)))
-    return found
+        estimates[name] = float(np.quantile(ordered, fraction)), _quantile_error(ordered, fraction, spread)
+    estimates |= _peak(loss, *(float(np.quantile(ordered, f)) for f in (0.16, 0.84)))
+    return estimates
 
 
 def _quantile_error(ordered: Floats, fraction: float, spread: float) -> float:
@@ -548,14 +548,14 @@ def _layers(matter: object, problems: Problems) -> tuple[Layer, ...]:
     if not isinstance(matter, Sequence):
         problems.note("matter", repr(matter), expected)
         return ()
-    found = []
-    for number, pair in enumerate(matter):
+    layers = []
+    for i, pair in enumerate(matter):
         match pair:
             case (Material() as material, int() | float() | np.number() as thickness) if math.isfinite(thickness):
-                found.append(Layer(material, float(thickness)))
+                layers.append(Layer(material, float(thickness)))
             case _:
-                problems.note(f"matter[{number}]", repr(pair), "(Material, thickness in mm)")
-    return tuple(found)
+                problems.note(f"matter[{i}]", repr(pair), "(Material, thickness in mm)")
+    return tuple(layers)
 
 
 def _kind(particle: str | int, problems: Problems) -> Species:
@@ -580,45 +580,45 @@ def _pieces(parts: Sequence[tuple[Material, float]], order: _Order, screening: s
     mass, charge = order.kind.mass, float(order.kind.charge)
     chi_c2 = _core.matter.total_matter(whole, 0.0)[2]
     start = kinetic = math.hypot(order.p, mass) - mass
-    found = []
-    for number, (material, thickness) in enumerate(parts):
+    pieces = []
+    for i, (material, thickness) in enumerate(parts):
         x0, left = thickness / material.x0, 1.0
         while left > 0:
             if kinetic < _STOPPED * start:
-                found.append(_Piece(number, left, math.nan, math.nan))
+                pieces.append(_Piece(i, left, math.nan, math.nan))
                 break
-            rate = _mean_loss(whole, number, _momentum_of(kinetic, mass), order.kind, x0)
+            rate = _mean_loss(whole, i, _momentum_of(kinetic, mass), order.kind, x0)
             most = min(_PIECE * kinetic / max(rate, 1e-300), _PIECE / x0)
             share = min(left, max(most, 1 / _MOST_PIECES))
             share = left if left - share < 1e-9 else share
             loss = min(rate * share, 0.999 * kinetic)
             variance = _core.matter.scattering_angle(
-                whole, number, path=share, p=_momentum_of(kinetic - loss / 2, mass), mass=mass, charge=charge,
+                whole, i, path=share, p=_momentum_of(kinetic - loss / 2, mass), mass=mass, charge=charge,
                 track_chi_c2=chi_c2,
             ) ** 2  # fmt: skip
-            found.append(_Piece(number, share, variance, loss))
+            pieces.append(_Piece(i, share, variance, loss))
             kinetic -= loss
             left = left - share if share < left else 0.0
-    return found
+    return pieces
 
 
 def _momentum_of(kinetic: float, mass: float) -> float:
     return math.sqrt(kinetic * (kinetic + 2 * mass))
 
 
-def _mean_loss(whole: _core.detector.Detector, number: int, p: float, kind: Species, x0: float) -> float:
+def _mean_loss(whole: _core.detector.Detector, i: int, p: float, kind: Species, x0: float) -> float:
     """Return the mean loss in a layer, GeV, at a momentum; of electrons with radiation, E x/X0."""
     charge = float(kind.charge)
-    collisions = _core.matter.restricted_loss(whole, number, path=1.0, p=p, mass=kind.mass, charge=charge, cut=1e9)
+    collisions = _core.matter.restricted_loss(whole, i, path=1.0, p=p, mass=kind.mass, charge=charge, cut=1e9)
     light = abs(kind.pdg) == 11
     return collisions + (math.hypot(p, kind.mass) * x0 if light else 0.0)
 
 
 def _by_formula(order: _Order, pieces: Sequence[_Piece]) -> dict[str, Any]:
     layers = []
-    for number, (material, thickness, note) in enumerate(order.layers):
-        variance = sum(piece.variance for piece in pieces if piece.layer == number)
-        loss = sum(piece.loss for piece in pieces if piece.layer == number)
+    for i, (material, thickness, note) in enumerate(order.layers):
+        variance = sum(piece.variance for piece in pieces if piece.layer == i)
+        loss = sum(piece.loss for piece in pieces if piece.layer == i)
         layers.append(
             LayerNumbers(
                 material=material.name, note=note, thickness_mm=thickness, density_gcm3=material.density,

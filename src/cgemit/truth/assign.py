@@ -32,11 +32,11 @@ def own_clusters(detector: Detector, clusters: Table, truths: Table) -> Rows:
         Increasing row numbers of X and V clusters; clusters without a truth are left out.
     """
     rows = np.flatnonzero((clusters["view"] <= HIT_V) & (clusters["truth"] >= 0))
-    place = clusters["truth"].take(rows) * 2 + clusters["view"].take(rows)
-    several = np.flatnonzero(np.bincount(place).take(place) > 1)
-    order = several[np.lexsort((_distances(detector, clusters, truths, rows[several]), place[several]))]
+    crossing = clusters["truth"].take(rows) * 2 + clusters["view"].take(rows)
+    several = np.flatnonzero(np.bincount(crossing).take(crossing) > 1)
+    order = several[np.lexsort((_distances(detector, clusters, truths, rows[several]), crossing[several]))]
     chosen = np.ones(len(rows), np.bool_)
-    chosen[order[np.diff(place[order], prepend=-1) == 0]] = False  # all but the nearest of each crossing
+    chosen[order[np.diff(crossing[order], prepend=-1) == 0]] = False  # all but the nearest of each crossing
     return rows[chosen]
 
 
@@ -58,18 +58,18 @@ def residuals(detector: Detector, clusters: Table, truths: Table, rows: Rows) ->
     layer, sheet, view = (clusters[name][rows] for name in ("layer", "sheet", "view"))
     truth = clusters["truth"][rows]
     residual = np.empty(len(rows))
-    for number, cgem in enumerate(detector.layers):
+    for layer_number, cgem in enumerate(detector.layers):
         for half_shell, start in enumerate(cgem.sheet_phi):
             for axis in (HIT_X, HIT_V):
-                mine = (layer == number) & (sheet == half_shell) & (view == axis)
-                phi, z = truths["phi"][truth[mine]], truths["z"][truth[mine]]
+                on_sheet = (layer == layer_number) & (sheet == half_shell) & (view == axis)
+                phi, z = truths["phi"][truth[on_sheet]], truths["z"][truth[on_sheet]]
                 x, turn = cgem.r_readout * (phi - start), 2 * np.pi * cgem.r_readout
                 if axis == HIT_X:
-                    difference = clusters["x"][rows[mine]] - x
+                    difference = clusters["x"][rows[on_sheet]] - x
                 else:  # a whole turn changes V by hundreds of mm: the nearest turn is the right one
-                    difference = clusters["v"][rows[mine]] - local_v(cgem, x, z)
+                    difference = clusters["v"][rows[on_sheet]] - local_v(cgem, x, z)
                     turn *= np.cos(cgem.stereo)
-                residual[mine] = difference - turn * np.round(difference / turn)
+                residual[on_sheet] = difference - turn * np.round(difference / turn)
     return residual
 
 

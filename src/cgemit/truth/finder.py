@@ -78,8 +78,8 @@ def by_truth(
         "charge": np.abs(particles["charge"].take(charged)),
     }
     hits["event"] = event.take(hits["candidate"])
-    about = particles.cover | {"meta": {"finder": "truth"}}
+    cover = particles.cover | {"meta": {"finder": "truth"}}
     return {
-        "candidates": Table("candidates", columns, **about),
-        "candidate_hits": Table("candidate_hits", hits, **about),
+        "candidates": Table("candidates", columns, **cover),
+        "candidate_hits": Table("candidate_hits", hits, **cover),
     }

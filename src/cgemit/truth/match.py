@@ -123,9 +123,9 @@ def _shared(detector: Detector, tables: Mapping[str, Table], best: Rows) -> Rows
     candidate, row = hits["candidate"][strips], hits["hit"][strips]
     chosen = several[row] & (best[candidate] >= 0)
     candidate, row = candidate[chosen], row[chosen]
-    own = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
+    of_itself = (truths["daughter"] == 0) & (truths["half_turn"] == 0)
     owner = particle_rows(tables["particles"], truths)
-    of_truth = np.where(own, owner, -1)
+    of_truth = np.where(of_itself, owner, -1)
     layers = len(detector.layers)
     key = of_truth * layers + truths["layer"]
     order = np.argsort(key, kind="stable")
@@ -155,10 +155,10 @@ def belle2(of: CandidateCounts) -> Statuses:
     A candidate is of a particle that left 2/3 of its hits, if it holds 1/20 of the particle's measurements. With fewer
     it is a decay product's if most of these hits are those of daughters.
     """
-    own = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & (of.hits > 0)
+    is_pure = (of.particle >= 0) & (3 * of.of_particle >= 2 * of.hits) & (of.hits > 0)
     enough = (20 * of.found >= of.left) & ~((of.found == 0) & _daughters(of)) | _loops(of)
-    classes = _classes(of, own & enough)
-    classes[own & ~enough & _daughters(of)] = MatchStatus.decay_daughter
+    classes = _classes(of, is_pure & enough)
+    classes[is_pure & ~enough & _daughters(of)] = MatchStatus.decay_daughter
     return classes
 
 
@@ -259,8 +259,8 @@ def match(
     chamber = load(detector)
     counts = _match_hits(tables)
     of_candidate = _counts(chamber, tables, counts)
-    own = tracks["candidate"]
-    row, pure, total, found = (counts[name][own] for name in ("particle", "own", "hits", "found"))
+    candidate = tracks["candidate"]
+    row, pure, total, n_found = (counts[name][candidate] for name in ("particle", "own", "hits", "found"))
     known = row >= 0
     of = np.where(known, row, 0)
     none = np.full(len(tracks), np.nan)
@@ -268,11 +268,11 @@ def match(
         "event": tracks["event"],
         "track": np.arange(len(tracks)),
         "particle": np.where(known, particles["particle"].take(of), -1) if len(particles) else np.full(len(tracks), -1),
-        "match": belle2(of_candidate)[own],
-        "half_turn": of_candidate.half_turn[own],
+        "match": belle2(of_candidate)[candidate],
+        "half_turn": of_candidate.half_turn[candidate],
         "purity": np.divide(pure, total, out=none.copy(), where=total > 0),
         "efficiency": (
-            np.divide(found, counts["left"].take(of), out=none.copy(), where=known) if len(particles) else none
+            np.divide(n_found, counts["left"].take(of), out=none.copy(), where=known) if len(particles) else none
         ),
     }
     decayed = np.append(particles["status"] == _core.common.TransportStatus.decayed, False)
