@@ -466,9 +466,9 @@ class DriftChamber(Placed):
         changes, superlayers = table_in(variant, "drift_chamber"), table_in(chamber, "superlayers")
         for name in FOR_ALL_LAYERS.keys() & changes.keys():
             for group in (table_in(chamber, "layers"), superlayers):
-                for part in (open_table(group, label) for label in group):
+                for layer in (open_table(group, label) for label in group):
                     for old in FOR_ALL_LAYERS[name]:
-                        part.pop(old, None)
+                        layer.pop(old, None)
         removed = str(variant.get("remove", ""))
         if (
             "superlayers" in changes
