@@ -144,34 +144,34 @@ def _choices(
 ) -> list[_Choice]:  # fmt: skip
     """Return the choices of one crossing, the best first; none is always one of them."""
     width = 2 * np.pi * layer.r_readout / layer.sheets
-    found = [_Choice(0.0, -1, -1)]
+    choices = [_Choice(0.0, -1, -1)]
     for sheet, start in enumerate(layer.sheet_phi):
         x = float(layer.r_readout * (wrap_angle(phi - start - np.pi / layer.sheets) + np.pi / layer.sheets))
         reach = GATE * math.sqrt(cov[0, 0]) + float(layer.pitch_x)
         if not -reach < x < width + reach:
             continue
         predicted = np.array([x, float(local_v(layer, x, z))])
-        mine = rows[clusters["sheet"][rows] == sheet]
+        on_sheet = rows[clusters["sheet"][rows] == sheet]
         near: list[list[tuple[int, float, float, float]]] = []
         for view, name in enumerate("xv"):
-            own = mine[clusters["view"][mine] == view]
-            away, err = clusters[name][own] - predicted[view], clusters[f"err_{name}"][own]
+            of_view = on_sheet[clusters["view"][on_sheet] == view]
+            away, err = clusters[name][of_view] - predicted[view], clusters[f"err_{name}"][of_view]
             # A crossing has its cluster at a density of its own; foreign ones of the event are all over the sheet.
-            gain = math.log(EFFICIENCY / (1 - EFFICIENCY)) - math.log(max(len(own), 1) / width)
+            gain = math.log(EFFICIENCY / (1 - EFFICIENCY)) - math.log(max(len(of_view), 1) / width)
             inside = np.abs(away) < GATE * np.sqrt(cov[view, view] + err**2)
-            rows_here = zip(own[inside].tolist(), away[inside].tolist(), err[inside].tolist(), strict=True)
+            rows_here = zip(of_view[inside].tolist(), away[inside].tolist(), err[inside].tolist(), strict=True)
             near.append([(row, gain, one, sigma) for row, one, sigma in rows_here])
-        for row, gain, one, sigma in near[0]:
-            found.append(_Choice(gain + _log_normal(cov[0, 0] + sigma**2, one), row, -1))
-        for row, gain, one, sigma in near[1]:
-            found.append(_Choice(gain + _log_normal(cov[1, 1] + sigma**2, one), -1, row))
+        for row, gain, distance, sigma in near[0]:
+            choices.append(_Choice(gain + _log_normal(cov[0, 0] + sigma**2, distance), row, -1))
+        for row, gain, distance, sigma in near[1]:
+            choices.append(_Choice(gain + _log_normal(cov[1, 1] + sigma**2, distance), -1, row))
         for (i, gain_x, dx, ex), (k, gain_v, dv, ev) in product(*near):
             total, d = cov + np.diag([ex * ex, ev * ev]), np.array([dx, dv])
             chi2 = float(d @ np.linalg.solve(total, d))
             if chi2 < GATE * GATE and (i, k) in score:
                 both = -0.5 * (chi2 + math.log(np.linalg.det(total))) - math.log(2 * math.pi)
-                found.append(_Choice(gain_x + gain_v + both + score[i, k], i, k))
-    likely = [one for one in found if one.gain > CERTAIN or not one.rows]
+                choices.append(_Choice(gain_x + gain_v + both + score[i, k], i, k))
+    likely = [one for one in choices if one.gain > CERTAIN or not one.rows]
     return sorted(likely, key=lambda one: (-one.gain, one.x, one.v))
 
 
