@@ -356,7 +356,7 @@ class Form:
         Of sigma.
     a_unit, b_unit : str
     power : float
-        Of sin(theta) in the term that depends on the momentum.
+        Of sin(theta) in the term with p.
     """
 
     quantity: str
@@ -366,15 +366,15 @@ class Form:
     b_unit: str
     power: float
 
-    def variable(self, p: Floats, particle: str | int, cos_theta: CosTheta) -> Floats:
-        """Return what multiplies the parameter of the momentum term: pT, or 1/(p beta sin^power theta).
+    def variables(self, p: Floats, particle: str | int, cos_theta: CosTheta) -> tuple[Floats, Floats]:
+        """Return what multiplies a and b: pT and 1/beta, or 1 and 1/(p beta sin^power theta).
 
         Over a range of cos(theta), the power of sin(theta) is replaced by its mean.
         """
-        if self.quantity == "pt_rel":
-            return p * mean_sine(cos_theta, 1.0)
         beta = p / np.hypot(p, species(particle).mass)
-        return mean_sine(cos_theta, -self.power) / (p * beta)
+        if self.quantity == "pt_rel":
+            return p * mean_sine(cos_theta, self.power), 1 / beta
+        return np.ones_like(p), mean_sine(cos_theta, -self.power) / (p * beta)
 
 
 #: The forms by quantity, in the order in which they are printed.
@@ -383,7 +383,7 @@ FORMS = {
     for form in (
         Form("dr", "sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta)", "um", "um", "um GeV/c", 1.5),
         Form("dz", "sigma(d_z) = a (+) b/(p beta sin^{5/2} theta)", "mm", "mm", "mm GeV/c", 2.5),
-        Form("pt_rel", "sigma(pT)/pT = a pT (+) b", "%", "%/(GeV/c)", "%", 1.0),
+        Form("pt_rel", "sigma(pT)/pT = a pT (+) b/beta", "%", "%/(GeV/c)", "%", 1.0),
     )
 }
 
@@ -470,7 +470,7 @@ def fit_form(
     Parameters
     ----------
     quantity : str
-        ``"dr"``: a (+) b/(p beta sin^{3/2} theta). ``"dz"``: with 5/2. ``"pt_rel"``: sigma(pT)/pT = a pT (+) b.
+        ``"dr"``: a (+) b/(p beta sin^{3/2} theta). ``"dz"``: with 5/2. ``"pt_rel"``: sigma(pT)/pT = a pT (+) b/beta.
     p : (n,) array_like, GeV/c
     sigma : (n,) array_like
         um (dr), mm (dz), % (sigma(pT)/pT). Points that are not finite are left out.
@@ -507,16 +507,15 @@ def fit_form(
     used = np.isfinite(y) & (y > 0) & np.isfinite(weight) & (weight > 0)
     if len(np.unique(x[used])) < FEWEST_POINTS:
         return None
-    x, y, weight = form.variable(x[used], particle, cos_theta), y[used], weight[used]
-    (constant, constant_error), (slope, slope_error), residuals = _sum_in_quadrature(x, y, weight)
+    y, weight = y[used], weight[used]
+    terms = form.variables(x[used], particle, cos_theta)
+    (a, a_error), (b, b_error), residuals = _sum_in_quadrature(terms, y, weight)
     if error is None:
-        constant_error = slope_error = math.nan
-    pairs = [(constant, constant_error), (slope, slope_error)]
-    (a, a_error), (b, b_error) = reversed(pairs) if quantity == "pt_rel" else pairs
+        a_error = b_error = math.nan
     chi2 = math.nan if error is None else float(residuals @ residuals)
     deviation = float(np.max(np.abs(residuals * weight / y)))
     return FormFit(
-        quantity, form.formula, a, a_error, b, b_error, form.a_unit, form.b_unit, len(x), chi2, deviation, detector,
+        quantity, form.formula, a, a_error, b, b_error, form.a_unit, form.b_unit, len(y), chi2, deviation, detector,
         method,
     )  # fmt: skip
 
@@ -532,16 +531,18 @@ def _problems(quantity: str, p: Floats, sigma: Floats, error: Floats) -> list[st
     return texts
 
 
-def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float, float], tuple[float, float], Floats]:
-    """Fit y = sqrt(c^2 + s^2 x^2); return c and s with their errors, and the residuals in units of the error.
+def _sum_in_quadrature(
+    variables: tuple[Floats, Floats], y: Floats, error: Floats
+) -> tuple[tuple[float, float], tuple[float, float], Floats]:
+    """Fit y = sqrt(a^2 u^2 + b^2 v^2); return a and b with their errors, and the residuals in units of the error.
 
-    The parameters are the squares, in units of the largest that they can be: the derivatives by c and s vanish at zero,
+    The parameters are the squares, in units of the largest that they can be: the derivatives by a and b vanish at zero,
     those by the squares do not.
     """
     from scipy.optimize import least_squares
 
-    scale = np.array([np.max(y) ** 2, np.max(y / x) ** 2])
-    terms = np.stack([np.ones_like(x), x * x], axis=1) * scale
+    scale = np.array([np.max(y / one) ** 2 for one in variables])
+    terms = np.stack([one * one for one in variables], axis=1) * scale
 
     def residuals(squares: Floats) -> Floats:
         return np.asarray((np.sqrt(terms @ squares) - y) / error)
@@ -555,8 +556,8 @@ def _sum_in_quadrature(x: Floats, y: Floats, error: Floats) -> tuple[tuple[float
     # At the bound the square is zero but for rounding.
     solution.x[solution.x < _NOTHING] = 0.0
     low, high = np.sqrt(solution.x * scale), np.sqrt((solution.x + spread) * scale)
-    (c, s), (c_error, s_error) = low.tolist(), (high - low).tolist()
-    return (c, c_error), (s, s_error), residuals(solution.x)
+    (a, b), (a_error, b_error) = low.tolist(), (high - low).tolist()
+    return (a, a_error), (b, b_error), residuals(solution.x)
 
 
 def mean_sine(cos_theta: CosTheta, power: float) -> float:
