@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cgemit.cli import options
 from cgemit.cli.simulate import add_finder
@@ -37,6 +37,8 @@ examples:
   cgemit resolution -d besiii-cgem --particle pi+ --particle K+ --pt 0.2:1.0:5 --theta "60 deg" -o hadrons
   cgemit resolution -d besiii-cgem --set fit.loss=mean --p 0.2:2.0:10 -o mean-loss
   cgemit resolution -d besiii-cgem --method analytic --map --p 0.2:3:15 --cos-theta -0.9:0.9:25 -o maps
+  cgemit resolution -d besiii-cgem --method analytic --budget dr --budget p --p 0.2:3:15 --cos-theta 0 -o budget
+  cgemit resolution -d besiii-cgem --method analytic --budget dz --sensitivity --p 1 --theta "30 deg:90 deg:7" -o why
   cgemit resolution -d besiii-idc --particle pi+ --p 1 --cos-theta -0.8:0.8 --events 20000 -o pions --json"""
 
 
@@ -75,6 +77,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="with --method analytic and lists of momenta and of cos(theta): draw the resolutions over both (map.png), "
         "and write map.csv, instead of curves",
     )  # fmt: skip
+    parser.add_argument(
+        "--budget", action="append", metavar="QUANTITY",
+        help="with --method analytic: what the variance of p, pt, dr, dz, phi0, theta ... is made of, instead of "
+        "curves (budget_QUANTITY.csv and .png), against the list of momenta or of angles; may be repeated",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sensitivity", action="store_true",
+        help="with --method analytic: what 1 %% more of each number of the design does to the resolutions, instead of "
+        "curves (sensitivity.csv and .png)",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="write summary.json to stdout instead of the table")
     options.add_output(parser, required=True)
     options.add_hypothesis(parser)
@@ -92,8 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_free(arguments.output, overwrite=arguments.overwrite)
     detectors, settings = options.load_inputs(arguments, _guns, one_track=True)
-    if arguments.map:
-        return _maps(arguments, detectors, settings)
+    if arguments.map or arguments.budget or arguments.sensitivity:
+        return _expected(arguments, detectors, settings)
     points, lines = _scans(arguments, detectors, settings)
     scans: list[Scan | AnalyticScan] = [*points, *lines]
     if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
@@ -107,53 +119,89 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _maps(arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings) -> int:
-    """Draw maps of the resolutions of a detector over momentum and cos(theta), and write their numbers."""
+def _expected(arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings) -> int:
+    """Draw maps, budgets and sensitivities of the resolutions of a detector, and write their numbers."""
     import numpy as np
 
     from cgemit.base.files import new_folder
     from cgemit.chain.record import record, write_about
     from cgemit.covariance.analytic import analytic
-    from cgemit.draw.design import draw_maps
+    from cgemit.covariance.sensitivity import sensitivity
+    from cgemit.draw.design import draw_budget, draw_budgets, draw_maps, draw_sensitivity
     from cgemit.tables.show import write_csv
 
-    ranges = {"--p": arguments.p, "--cos-theta": arguments.cos_theta}
-    problems = [
-        f"{name}: got {value}; --map expects two values or more, as A,B,C or A:B:COUNT"
-        for name, value in ranges.items()
-        if not isinstance(value, list) or len(set(value)) < 2
-    ]
-    problems += ["--method: --map expects analytic"] if arguments.method != "analytic" else []
-    problems += ["-d: --map expects one detector"] if len(detectors) > 1 else []
-    problems += ["--particle: --map expects one particle"] if len(arguments.particle or []) > 1 else []
-    if problems:
-        raise options.InputError("\n".join(problems))
-    p, cosines = (np.unique(value) for value in ranges.values())
+    shot = _shot(arguments, detectors)
     (detector,), particle = detectors, (arguments.particle or ["mu-"])[0]
-    resolution = analytic(
-        detector, particle, p[:, None], cosines, reveal_sides=settings.digitize.reveal_sides, fit=settings.fit,
-        threads=arguments.threads,
-    )  # fmt: skip
+    how = {"reveal_sides": settings.digitize.reveal_sides, "fit": settings.fit, "threads": arguments.threads}
+    resolution = analytic(detector, particle, **shot, **how)
     if not resolution.reached.any():
         raise options.RunFailedError(f"{detector.name}: no track at any point has a covariance")
-    source = {"particle": str(particle), "p": p.tolist(), "cos_theta": cosines.tolist(), "method": "analytic"}
+    budgets = {name: resolution.budget(name) for name in dict.fromkeys(arguments.budget or [])}
+    effects = sensitivity(detector, particle, **shot, **how) if arguments.sensitivity else None
+    given = {name: np.ravel(value).tolist() for name, value in shot.items() if value is not None}
+    source = {"particle": str(particle), **given, "method": "analytic"}
     entries = record(
         detectors={"detector": detector}, settings=settings, seed=arguments.seed, source=source, command=arguments.line
     )
-    columns = {_header(name): column.tolist() for name, column in resolution.table().items()}
     with new_folder(arguments.output, overwrite=arguments.overwrite) as temporary:
-        write_csv(temporary / "map.csv", columns)
-        draw_maps(resolution).save(temporary / "map")
+        if arguments.map:
+            write_csv(temporary / "map.csv", {_header(name): column.tolist() for name, column in resolution.table().items()})
+            draw_maps(resolution).save(temporary / "map")
+        for name, budget in budgets.items():
+            write_csv(temporary / f"budget_{name}.csv", budget.columns())
+            drawn = draw_budget(budget) if budget.p.size > 1 else draw_budgets({detector.name: budget})
+            drawn.save(temporary / f"budget_{name}")
+        if effects is not None:
+            columns = {_header(name): column.tolist() for name, column in effects.table().items()}
+            write_csv(temporary / "sensitivity.csv", columns)
+            draw_sensitivity(effects).save(temporary / "sensitivity")
         write_about(temporary, {"detector": detector}, entries)
-    options.say(f"{resolution}")
-    options.note(arguments, f"maps: {arguments.output}/map.png")
+    shown = [resolution] if arguments.map else []
+    options.say("\n\n".join(map(str, [*shown, *budgets.values(), *([effects] if effects is not None else [])])))
+    made = ["map"] if arguments.map else []
+    made += [f"budget_{name}" for name in budgets] + (["sensitivity"] if effects is not None else [])
+    options.note(arguments, f"pictures: {', '.join(f'{arguments.output}/{name}.png' for name in made)}")
     return 0
+
+
+def _shot(arguments: argparse.Namespace, detectors: Sequence[Detector]) -> dict[str, Any]:
+    """Return the momenta and angles of `analytic` for maps, budgets and sensitivities; a list means points."""
+    import numpy as np
+
+    asked = [f"--{name}" for name in ("map", "budget", "sensitivity") if getattr(arguments, name)]
+    momentum = "p" if arguments.pt is None else "pt"
+    angle = "cos_theta" if arguments.theta is None else "theta"
+    momenta, angles = getattr(arguments, momentum), getattr(arguments, angle)
+    problems = []
+    if arguments.map:
+        problems += [
+            f"{name}: got {value}; --map expects two values or more, as A,B,C or A:B:COUNT"
+            for name, value in {"--p": arguments.p, "--cos-theta": arguments.cos_theta}.items()
+            if not isinstance(value, list) or len(set(value)) < 2
+        ]
+    elif isinstance(angles, list) and len(set(angles)) > 1 and len(set(momenta)) > 1:
+        expected = f"{' and '.join(asked)} expects several momenta or several angles, not both"
+        problems.append(f"--{momentum}, --{angle.replace('_', '-')}: got lists; {expected}")
+    if arguments.map and len(asked) > 1:
+        problems.append(f"{' and '.join(asked)}: got both; expected one of them beside --map")
+    problems += [f"--method: {asked[0]} expects analytic"] if arguments.method != "analytic" else []
+    problems += [f"-d: {asked[0]} expects one detector"] if len(detectors) > 1 else []
+    problems += [f"--particle: {asked[0]} expects one particle"] if len(arguments.particle or []) > 1 else []
+    problems += [f"--json: {asked[0]} has no summary"] if arguments.json else []
+    if problems:
+        raise options.InputError("\n".join(problems))
+    p = np.unique(momenta)
+    angles = (-0.93, 0.93) if angles is None else angles
+    angles = np.unique(angles) if isinstance(angles, list) else angles
+    return {"p": None, "cos_theta": None} | {momentum: p[:, None] if arguments.map else p, angle: angles}
 
 
 def _header(name: str) -> str:
     """Return the name of a column of a covariance's table with its unit."""
     from cgemit.analysis.quantities import QUANTITIES
 
+    if name.startswith("dln_sigma_"):
+        return f"{name} (% per %)"
     kind, _, quantity = name.partition("_")
     if quantity in QUANTITIES and kind in ("sigma", "rms"):
         return QUANTITIES[quantity].column(kind)

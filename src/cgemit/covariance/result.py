@@ -247,6 +247,11 @@ class Budget(Shown):
             "sigma": root.ravel(),
         }  # fmt: skip
 
+    def columns(self, by: By = "part") -> dict[str, list[Any]]:
+        """Return `table` with units in the names of columns, as a CSV table has them."""
+        units = {"p": " (GeV/c)", "variance": f" ({self.unit}2)", "sigma": f" ({self.unit})"}
+        return {f"{name}{units.get(name, '')}": column.tolist() for name, column in self.table(by).items()}
+
     def to_pandas(self, by: By = "source") -> Any:
         """Return `table` as a pandas DataFrame."""
         return data_frame(self.table(by))
@@ -266,6 +271,7 @@ class Budget(Shown):
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
         groups = {name: value.ravel() for name, value in self._parts().items()}
         total, rows = self.total.ravel(), []
+        angles = bool(np.ptp(self.cos_theta) > 0)  # else they are those of all points
         for i in range(min(self.p.size, _SHOWN_POINTS)):
             order = sorted(groups, key=lambda name: -float(np.nan_to_num(groups[name][i])))
             shown = [(name, float(groups[name][i])) for name in order[:_SHOWN_PARTS]]
@@ -273,11 +279,12 @@ class Budget(Shown):
                 shown.append((f"other ({len(rest)})", float(sum(groups[name][i] for name in rest))))
             for name, value in shown:
                 share = f"{100 * value / total[i]:.1f} %"
-                rows.append([self.points.texts(i)[0], name, f"{value**0.5:.4g}", share])
+                at = self.points.texts(i)
+                rows.append([*(at if angles else at[:1]), name, f"{value**0.5:.4g}", share])
         more = self.p.size - _SHOWN_POINTS
+        head = ["p [GeV/c]", *(["cos(theta)"] if angles else []), "part", f"sigma [{self.unit}]", "of variance"]
         if more > 0:
-            rows.append([f"{more} more points", "", "", ""])
-        head = ["p [GeV/c]", "part", f"sigma [{self.unit}]", "of variance"]
+            rows.append([f"{more} more points", *[""] * (len(head) - 1)])
         return f"{self.detector}, {self.particle}: budget of {self.quantity}", head, rows
 
 

@@ -35,12 +35,12 @@ _OTHER = "other"
 
 
 def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
-    """Draw the share of each group in the variance as stacked areas against momentum.
+    """Draw the share of each group in the variance as stacked areas against momentum or polar angle.
 
     Parameters
     ----------
     budget : Budget
-        At two momenta or more, in any order, and one cos(theta).
+        At two momenta or more, in any order, and one cos(theta); or at one p or pT and several angles.
     by : str
         As for `Budget.grouped`.
     most : int
@@ -50,12 +50,13 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     Returns
     -------
     Picture
-        Momenta without a covariance are gaps.
+        Points without a covariance are gaps; points are ticks of the lower axis. Momenta that span a factor of 5 have
+        a logarithmic axis.
 
     Raises
     ------
     ValueError
-        If `by` is not known, or the points are not a line of momenta.
+        If `by` is not known, or the points are not a line of momenta or angles.
 
     Examples
     --------
@@ -64,15 +65,20 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
     >>> picture.axes[0].get_xlabel()
     'p  (GeV/c)'
     """
-    if budget.p.ndim != 1 or len(np.unique(budget.p)) < 2 or np.ptp(budget.cos_theta) > 1e-12 or not _is_count(most):
+    steep = np.ptp(budget.cos_theta) > 1e-12
+    pt = budget.p * np.sqrt(1 - budget.cos_theta**2)
+    fixed = [name for name, one in {"p": budget.p, "$p_T$": pt}.items() if np.ptp(one) <= 1e-9 * one.max(initial=0)]
+    if budget.p.ndim != 1 or steep != bool(fixed) or not _is_count(most):
         raise ValueError(
-            f"draw_budget: got momenta of shape {budget.p.shape}, cos(theta) {np.unique(budget.cos_theta)[:4]}, most "
-            f"{most!r}; expected a list of two momenta or more at one cos(theta), and most of at least 1"
+            f"draw_budget: got points of shape {budget.p.shape}, cos(theta) {np.unique(budget.cos_theta)[:4]}, most "
+            f"{most!r}; expected a list of two momenta or more at one cos(theta), or of angles at one p or pT, and "
+            "most of at least 1"
         )
-    order = np.argsort(budget.p, kind="stable")
-    p = budget.p[order]
+    every = budget.p if not steep else np.degrees(np.arccos(budget.cos_theta))
+    order = np.argsort(every, kind="stable")
+    x = every[order]
     shares = _shares(budget, by, most)
-    edges = np.cumsum([np.zeros(len(p)), *(share[order] for share in shares.values())], axis=0)
+    edges = np.cumsum([np.zeros(len(x)), *(share[order] for share in shares.values())], axis=0)
     with style():
         width = 6.2 + 0.085 * max(map(len, shares))  # room for the legend
         picture, (axes,) = new_picture(1, 1, (width, 4.6))
@@ -80,12 +86,19 @@ def draw_budget(budget: Budget, by: By = "part", *, most: int = 8) -> Picture:
             if name == _OTHER:
                 colour, hatch = COLORS["matter"], ""
             low, high = edges[number], edges[number + 1]
-            axes.fill_between(p, low, high, fc=colour, hatch=hatch, ec="white", lw=0, label=plain(name))
-            axes.plot(p, high, color="white", lw=0.6)
-        axes.set(xlim=(p[0], p[-1]), ylim=(0, 100), xlabel="p  (GeV/c)")
+            axes.fill_between(x, low, high, fc=colour, hatch=hatch, ec="white", lw=0, label=plain(name))
+            axes.plot(x, high, color="white", lw=0.6)
+        if not steep and x[-1] > 5 * x[0]:
+            axes.set_xscale("log")
+            _plain_numbers(axes.xaxis)
+        axes.plot(x, np.zeros(len(x)), "|", color=COLORS["data"], ms=9, mew=0.9, clip_on=False, zorder=5)
+        axes.set(xlim=(x[0], x[-1]), ylim=(0, 100), xlabel="θ  (deg)" if steep else "p  (GeV/c)")
         symbol = mathematical(QUANTITIES[budget.quantity].symbol)
         axes.set_ylabel(f"share of the variance of {symbol}  (%)")
-        axes.set_title(plain(f"{budget.detector}, {budget.particle}, cos θ = {budget.points.texts(0)[1]}"), loc="left")
+        at = f"cos θ = {budget.points.texts(0)[1]}"
+        if steep:
+            at = f"{fixed[0]} = {(budget.p if fixed[0] == 'p' else pt)[0]:.4g} GeV/c"
+        axes.set_title(f"{plain(f'{budget.detector}, {budget.particle}')}, {at}", loc="left")
         handles, labels = axes.get_legend_handles_labels()
         # From top to bottom, as the areas lie.
         axes.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.01, 0.5), title=by)
@@ -575,13 +588,8 @@ def draw_convergence(columns: Columns, objective: str, error: str | None, title:
         picture, (axes,) = new_picture(1, 1, (6.6, 4.4))
         if wrong.any():
             axes.plot(number[wrong], values[wrong], "x", color=COLORS["wire"], ms=6, label="outside of limits")
-        fixed = good & (np.array(columns["kind"]) == "step")
-        own = good & ~fixed
-        bars = np.array(columns[error], np.float64)[own] if error else None
-        axes.errorbar(number[own], values[own], bars, fmt="o", ms=4.5, color=COLORS["cgem"], label="allowed")
-        if fixed.any():
-            axes.plot(number[fixed], values[fixed], "o", ms=4.5, mfc="white", mec=COLORS["cgem"],
-                      label="allowed, with the hits of another design")  # fmt: skip
+        bars = np.array(columns[error], np.float64)[good] if error else None
+        axes.errorbar(number[good], values[good], bars, fmt="o", ms=4.5, color=COLORS["cgem"], label="allowed")
         best = np.fmin.accumulate(np.where(good, values, np.nan))
         axes.step(number, best, where="post", color=COLORS["idc"], lw=1.4, label="best allowed design so far")
         axes.set(xlabel="evaluated designs (0: base)", ylabel=optimum_label(objective))

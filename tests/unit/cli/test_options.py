@@ -42,7 +42,19 @@ OF_FILE = Settings(
     digitize=DigitizeSettings(reveal_sides=True),
 )
 #: Options that say how results are shown or where they go; other tests look at them.
-SHOWN = {"--help", "--json", "--map", "--output", "--overwrite", "--quiet", "--debug", "--method", "--format"}
+SHOWN = {
+    "--help",
+    "--json",
+    "--map",
+    "--budget",
+    "--sensitivity",
+    "--output",
+    "--overwrite",
+    "--quiet",
+    "--debug",
+    "--method",
+    "--format",
+}
 
 
 @dataclass

@@ -281,3 +281,58 @@ def test_a_map_says_all_that_it_needs(tmp_path, capsys):
     for text in ("--p: got [1.0]", "--cos-theta: got (0.0, 0.5)", "--method", "one detector"):
         assert text in said
     assert not (tmp_path / "out").exists()
+
+
+def test_budgets_and_sensitivities_are_those_of_python(tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["resolution", "-d", DESIGN, "--method", "analytic", "--budget", "dr", "--budget", "p", "--sensitivity"]
+    words += ["--particle", "pi-", "--set", "fit.loss=mean", "-o", str(out)]
+    assert main([*words, "--p", "1,0.2", "--cos-theta", "0.3"]) == 0
+    how = {"p": [0.2, 1.0], "cos_theta": 0.3, "fit": cg.FitSettings(loss="mean")}
+    expected = cg.analytic(DESIGN, "pi-", **how)
+    effects = cg.sensitivity(DESIGN, "pi-", **how)
+    said = capsys.readouterr().out
+    for name in ("dr", "p"):
+        budget = expected.budget(name)
+        rows = rows_of(out / f"budget_{name}.csv")
+        groups = budget.grouped("part")
+        assert [(row["p (GeV/c)"], row["part"]) for row in rows] == [(p, one) for p in ("0.2", "1") for one in groups]
+        variances = np.array([float(row[f"variance ({budget.unit}2)"]) for row in rows]).reshape(2, -1)
+        np.testing.assert_allclose(variances.sum(axis=1), expected.rms(name) ** 2, rtol=1e-6)
+        assert str(budget) in said
+    rows = rows_of(out / "sensitivity.csv")
+    keys = effects.ordered()
+    assert [row["key"] for row in rows[: len(keys)]] == keys
+    wanted = [effects.of(key, "dr")[0] for key in keys]
+    found = [float(row["dln_sigma_dr (% per %)"] or "nan") for row in rows[: len(keys)]]
+    np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-9)
+    assert str(effects) in said
+    files = {path.name for path in out.iterdir() if path.name != ".cgemit"}
+    names = ("budget_dr", "budget_p", "sensitivity")
+    assert files == {"detector.toml", "run.json"} | {f"{one}.{end}" for one in names for end in ("csv", "png", "pdf")}
+
+
+def test_a_budget_against_angles_has_a_row_for_each(tmp_path):
+    out = tmp_path / "out"
+    words = ["resolution", "-d", DESIGN, "--method", "analytic", "--budget", "dz", "--pt", "0.5"]
+    assert main([*words, "--theta", "60 deg,90 deg,45 deg", "-o", str(out)]) == 0
+    budget = cg.analytic(DESIGN, pt=0.5, theta=["45 deg", "60 deg", "90 deg"]).budget("dz")
+    rows = rows_of(out / "budget_dz.csv")
+    variances = [float(row["variance (mm2)"]) for row in rows]
+    np.testing.assert_allclose(variances, budget.table("part")["variance"], rtol=1e-5, atol=1e-12)
+    assert len({row["cos_theta"] for row in rows}) == 3
+
+
+def test_budgets_say_all_that_they_need(tmp_path, capsys):
+    words = ["resolution", "-d", DESIGN, "-d", IDC, "--budget", "dr", "--json", "--p", "1,2", "--cos-theta", "0,0.5"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    for text in ("several momenta or several angles, not both", "--method: --budget expects analytic",
+                 "-d: --budget expects one detector", "--json: --budget has no summary"):  # fmt: skip
+        assert text in said
+    words = ["resolution", "-d", DESIGN, "--method", "analytic", "--p", "1", "-o", str(tmp_path / "out")]
+    assert main([*words, "--budget", "drr", "--cos-theta", "0"]) == 2
+    assert "drr" in capsys.readouterr().err
+    assert main([*words, "--budget", "p"]) == 2  # over the default range of angles
+    assert "expected fixed values" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -313,3 +313,19 @@ def test_maps_are_the_resolutions_of_a_grid(turned):
 def test_maps_need_a_grid(points):
     with pytest.raises(ValueError, match="a grid of two momenta and two cosines or more, each in order"):
         draw_maps(cg.analytic(DESIGN, "mu-", *points, samples=4))
+
+
+def test_a_budget_against_the_angle_and_a_logarithmic_momentum():
+    budget = cg.analytic(DESIGN, pt=0.5, theta=["90 deg", "45 deg", "60 deg"], samples=2).budget("dz")
+    (axes,) = draw_budget(budget, "cause").axes
+    assert (axes.get_xlabel(), axes.get_xscale()) == ("θ  (deg)", "linear")
+    assert axes.get_xlim() == pytest.approx((45, 90))
+    assert axes.get_title(loc="left").endswith("$p_T$ = 0.5 GeV/c")
+    share = 100 * budget.grouped("cause")["scattering"] / budget.total
+    edges = np.array([line.get_ydata() for line in axes.lines if line.get_marker() != "|"])
+    widths = np.diff(np.vstack([np.zeros(3), edges]), axis=0)
+    assert any(one == pytest.approx(share[[1, 2, 0]]) for one in widths)
+    (ticks,) = [line for line in axes.lines if line.get_marker() == "|"]
+    assert ticks.get_xdata().tolist() == pytest.approx([45, 60, 90])
+    (axes,) = draw_budget(cg.analytic(DESIGN, p=[0.2, 1.5], samples=2).budget("p")).axes
+    assert axes.get_xscale() == "log"
