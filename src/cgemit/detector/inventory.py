@@ -24,7 +24,7 @@ from cgemit.units import GEV_PER_T_MM
 
 @dataclass(frozen=True)
 class Background(SettingsData):
-    """Hits that do not belong to tracks, for the occupancy of strips.
+    """Hits that do not belong to tracks, for the occupancy of strips and of wires.
 
     Attributes
     ----------
@@ -38,6 +38,8 @@ class Background(SettingsData):
         Time in which a strip counts hits, ns.
     strips : float
         Fired strips of a hit in each view.
+    wire_window : float
+        Time in which a wire counts hits, ns. A particle fires one cell of a layer.
 
     Examples
     --------
@@ -51,6 +53,7 @@ class Background(SettingsData):
     power: NotNegative = 2.0
     window: NotNegative = 1000.0
     strips: NotNegative = 3.0
+    wire_window: NotNegative = 500.0
 
 
 def channels(detector: Detector) -> float:
@@ -293,9 +296,31 @@ def occupancy(detector: Detector, background: Background) -> float:
     return worst
 
 
+def wires(detector: Detector) -> float:
+    """Return the number of sense wires."""
+    return float(sum(layer.cells for layer in detector.wires))
+
+
+def wire_occupancy(detector: Detector, background: Background) -> float:
+    """Return the largest probability of a wire to be hit within the window, %; 0 without wires.
+
+    Parameters
+    ----------
+    detector : Detector
+    background : Background
+    """
+    worst = 0.0
+    for layer in detector.wires:
+        rate = background.rate * (background.radius / layer.r_mid) ** background.power  # kHz/cm2
+        cell = 2 * math.pi * layer.r_mid / layer.cells * (layer.ends[1] - layer.ends[0]) / 100  # cm2
+        worst = max(worst, -100 * math.expm1(-rate * 1e3 * cell * background.wire_window * 1e-9))
+    return worst
+
+
 #: What can be a goal or a limit: unit, the number, and the number without rounding to whole strips.
 GEOMETRY: Mapping[str, tuple[str, Callable[[Detector], float], Callable[[Detector], float]]] = {
     "channels": ("", channels, smooth_channels),
+    "wires": ("", wires, wires),
     "area": ("m2", area, area),
     "x0": ("%", radiation_lengths, radiation_lengths),
     "outer_radius": ("mm", outer_radius, outer_radius),

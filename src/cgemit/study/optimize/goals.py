@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,13 +15,18 @@ from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean
 from cgemit.base.validate import is_whole
 from cgemit.detector import Detector
-from cgemit.detector.inventory import GEOMETRY, Background, occupancy
+from cgemit.detector.inventory import GEOMETRY, Background, occupancy, wire_occupancy
 from cgemit.detector.variants import values_at
-from cgemit.study.sweep.evaluate import UNSEEN, Evaluation, covariances, unseen_matter
+from cgemit.study.sweep.evaluate import UNSEEN, Evaluation, covariances, identity, unseen_matter
 from cgemit.study.sweep.space import Changes, own_text, own_value, split_range
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
-OCCUPANCY = "occupancy"
+#: A user's goal: a number of a detector.
+Numbered = Callable[[Detector], float]
+#: Goals that need a `Background`, in %.
+OCCUPANCIES = {"occupancy": occupancy, "wire_occupancy": wire_occupancy}
+#: Goal that needs prices.
+COST = "cost"
 
 
 @dataclass(frozen=True)
@@ -33,19 +38,23 @@ class Goal:
     text : str
         As it was given, such as ``"dr @ 0.3 GeV/c"``.
     name : str
-        A resolution (of `QUANTITIES`), or a number of `GEOMETRY`, ``"occupancy"`` or ``"unseen_x0"``.
+        A resolution (of `QUANTITIES`), or a number of `GEOMETRY`, one of `OCCUPANCIES`, ``"cost"`` or ``"unseen_x0"``;
+        name of a function.
     p : float or None, GeV/c
         Of a resolution: at this momentum only; None: the geometric mean of all points.
+    function : callable or None
+        The user's function of a `Detector`, which returns a number.
     """
 
     text: str
     name: str
     p: float | None = None
+    function: Numbered | None = None
 
     @property
     def resolution(self) -> bool:
         """Whether it is a resolution."""
-        return self.name in QUANTITIES
+        return self.function is None and self.name in QUANTITIES
 
     @property
     def header(self) -> str:
@@ -53,7 +62,9 @@ class Goal:
         if self.resolution:
             at = "" if self.p is None else f" at {self.p:g} GeV/c"
             return QUANTITIES[self.name].column(end=at)
-        unit = "%" if self.name in (OCCUPANCY, UNSEEN) else GEOMETRY[self.name][0]
+        if self.function is not None or self.name == COST:
+            return self.name
+        unit = "%" if self.name in (*OCCUPANCIES, UNSEEN) else GEOMETRY[self.name][0]
         return f"{self.name} ({unit})" if unit else self.name
 
     @property
@@ -70,15 +81,21 @@ def goal_of(path: str, text: Any, momenta: Sequence[float], problems: Problems) 
     ----------
     path : str
         Where the text stands.
-    text : str
-        ``"dr"``, ``"dr @ 0.3 GeV/c"``, ``"channels"`` ...
+    text : str or callable
+        ``"dr"``, ``"dr @ 0.3 GeV/c"``, ``"channels"`` ..., or a function of a `Detector`.
     momenta : sequence of float, GeV/c
         At which resolutions are computed.
     problems : Problems
     """
-    known = (*QUANTITIES, *GEOMETRY, OCCUPANCY, UNSEEN)
+    known = (*QUANTITIES, *GEOMETRY, *OCCUPANCIES, COST, UNSEEN)
+    if callable(text):
+        name = str(getattr(text, "__name__", type(text).__name__))
+        if name in known:
+            problems.note(path, f"a function of the name {name}", "a name that is no goal of its own")
+            return None
+        return Goal(name, name, function=text)
     if not isinstance(text, str):
-        problems.note(path, repr(text), f"one of {', '.join(known)}")
+        problems.note(path, repr(text), f"a function, or one of {', '.join(known)}")
         return None
     name, at, where = (part.strip() for part in text.partition("@"))
     name = NAMES.get(name, name)
@@ -110,11 +127,14 @@ class Goals:
     evaluation : Evaluation
         Of the resolutions that they name.
     background : Background or None
+    prices : tuple of (str, float)
+        Numbers of `GEOMETRY` and what one unit of each costs.
     """
 
     goals: tuple[Goal, ...]
     evaluation: Evaluation
     background: Background | None
+    prices: tuple[tuple[str, float], ...] = ()
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -125,6 +145,10 @@ class Goals:
         """Return all that values depend on, beside the detector, as JSON."""
         found: dict[str, Any] = {"goals": [[one.name, one.p] for one in self.goals]}
         found["background"] = asdict(self.background) if self.background else None
+        if self.prices:
+            found["prices"] = dict(self.prices)
+        if functions := [identity(one.function) for one in self.goals if one.function]:
+            found["functions"] = functions
         tracks = self.quantities or any(one.name == UNSEEN for one in self.goals)
         return found | ({"evaluation": self.evaluation.described()} if tracks else {})
 
@@ -163,13 +187,19 @@ class Goals:
 
     def number(self, goal: Goal, detector: Detector, *, smooth: bool = False) -> float:
         """Return a goal that is no resolution; `smooth`: without rounding to whole strips."""
-        if goal.name == OCCUPANCY:
+        if goal.function is not None:
+            found = goal.function(detector)
+            if isinstance(found, bool) or not isinstance(found, int | float | np.number) or not math.isfinite(found):
+                raise TypeError(f"{goal.name}: got {found!r:.60}, expected a finite number")
+            return float(found)
+        if goal.name in OCCUPANCIES:
             assert self.background is not None  # checked when the goals are made
-            return occupancy(detector, self.background)
+            return OCCUPANCIES[goal.name](detector, self.background)
+        if goal.name == COST:
+            return sum(price * _geometry(name, detector, smooth) for name, price in self.prices)
         if goal.name == UNSEEN:
             return float(np.mean(unseen_matter(detector, self.evaluation)))
-        _, whole, real = GEOMETRY[goal.name]
-        return (real if smooth else whole)(detector)
+        return _geometry(goal.name, detector, smooth)
 
     def _momenta(self) -> list[float]:
         """Return the momentum of every point, in the order of `Evaluation.points`."""
@@ -194,6 +224,11 @@ class Goals:
             pairs = zip(found["columns"][QUANTITIES[name].column()], found["replicas"], strict=True)
             resolutions[name] = np.array([[sigma, *replicas[name]] for sigma, replicas in pairs])
         return resolutions
+
+
+def _geometry(name: str, detector: Detector, smooth: bool) -> float:
+    _, whole, real = GEOMETRY[name]
+    return (real if smooth else whole)(detector)
 
 
 def _replicas(sigma: float, variances: Floats) -> Floats:
@@ -245,8 +280,9 @@ def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: Prob
         problems.note("constraints", repr(given), "a dict of (low, high) by name")
         return ()
     found = []
-    for name, ends in given.items():
-        goal = goal_of(f"constraints.{name}", name, momenta, problems)
+    for key, ends in given.items():
+        name = getattr(key, "__name__", key)
+        goal = goal_of(f"constraints.{name}", key, momenta, problems)
         right = isinstance(ends, tuple | list) and len(ends) == 2 and any(end is not None for end in ends)
         right = right and all(end is None or _is_number(end) for end in ends)
         if right and None not in ends and ends[0] > ends[1]:
@@ -256,6 +292,19 @@ def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: Prob
         elif goal is not None:
             found.append(Limit(goal, ends[0], ends[1]))
     return tuple(found)
+
+
+def prices_of(given: Any, problems: Problems) -> tuple[tuple[str, float], ...]:
+    """Return the prices of units of `GEOMETRY`, sorted; see `optimize`."""
+    if not isinstance(given, Mapping):
+        problems.note("prices", repr(given), "a dict of prices by name")
+        return ()
+    for name, price in given.items():
+        if name not in GEOMETRY:
+            problems.note(f"prices.{name}", repr(price), f"prices of {', '.join(GEOMETRY)}")
+        elif not _is_number(price):
+            problems.note(f"prices.{name}", repr(price), "a number, the price of one unit")
+    return tuple(sorted((str(name), price) for name, price in given.items()))
 
 
 def _is_number(value: Any) -> bool:

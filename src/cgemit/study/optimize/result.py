@@ -237,7 +237,7 @@ class Optimization(TidyResult):
     ----------
     columns : dict of str to list
         One row for each evaluated design; row 0 is the base. `call` counts the steps or the groups of designs. `kind`
-        is "base", "value", "step" (resolutions with the hits of another design, without errors) or "optimum".
+        is "base", "value" or "optimum".
         `allowed` says whether all limits are kept. `front` is "front" for designs that no other one dominates, "front
         within errors" for those among them that another one would dominate but for differences below the error, and
         "within errors" for designs that are dominated by less than the error.
@@ -262,7 +262,7 @@ class Optimization(TidyResult):
     >>> space = {"cgem.L2.anode_radius": ("120 mm", "140 mm")}
     >>> best = cg.study.optimize("besiii-cgem-design", space, "dr", evaluate={"p": 0.5, "samples": 4})
     >>> round(best.detector().cgem["L2"].anode_radius, 1)  # mm
-    120.0
+    122.4
     """
 
     columns: dict[str, list[Any]]
@@ -453,7 +453,9 @@ class Optimization(TidyResult):
         rows = [0, *(self.spread(_SHOWN_ROWS) if len(self.objectives) > 1 else self.front)]
         cells = [["base" if i == 0 else str(i), *(_cell(self.columns[name][i]) for name in head[1:])] for i in rows]
         gradients = f", {self.gradients} gradients" if self.method == "gradient" else ""
-        title = f"{self.evaluator.base.name}, {self.method}: {self.evaluations} designs{gradients}; {self.message}"
+        base, own = self.evaluator.base, any(one.resolution for one in self.evaluator.goals.goals)
+        readout = f", readout {base.readout_text}" if own and base.readout_text else ""
+        title = f"{base.name}{readout}, {self.method}: {self.evaluations} designs{gradients}; {self.message}"
         if len(self.objectives) > 1:
             loose, tied = (self.columns["front"].count(name) for name in (LOOSE, TIED))
             title += f"; front of {len(self.front)}, {loose} of them and {tied} others within errors; some are shown"

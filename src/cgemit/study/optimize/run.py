@@ -21,13 +21,16 @@ from cgemit.detector import Detector, load
 from cgemit.detector.inventory import Background
 from cgemit.particles.species import species
 from cgemit.study.optimize.goals import (
-    OCCUPANCY,
+    COST,
+    OCCUPANCIES,
     Goal,
     Goals,
     Limit,
+    Numbered,
     Variable,
     goal_of,
     limits_of,
+    prices_of,
     variables_of,
 )
 from cgemit.study.optimize.pareto import evolve, optuna
@@ -45,7 +48,7 @@ from cgemit.study.optimize.search import (
 )
 from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import UNSEEN, Evaluation
-from cgemit.study.sweep.plan import PlanFile, range_of, read_evaluation, read_tables
+from cgemit.study.sweep.plan import PlanFile, function_of, range_of, read_evaluation, read_tables
 from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, workers_of
 from cgemit.study.sweep.space import PlanError
 
@@ -69,11 +72,12 @@ class _Task:
 def optimize(
     base: Detector | str | Mapping[str, Any],
     space: Mapping[str, Any],
-    minimize: str | Sequence[str] = "dr",
-    constraints: Mapping[str, tuple[float | None, float | None]] | None = None,
+    minimize: str | Numbered | Sequence[str | Numbered] = "dr",
+    constraints: Mapping[Any, tuple[float | None, float | None]] | None = None,
     evaluate: Evaluation | Mapping[str, Any] | Literal["analytic", "mc"] = "analytic",
     search: Search | Mapping[str, Any] | Method | None = None,
     background: Background | Mapping[str, float] | None = None,
+    prices: Mapping[str, float] | None = None,
     *,
     output: Output | str | os.PathLike[str] | None = None,
     workers: Workers | Executor | int | None = None,
@@ -91,14 +95,17 @@ def optimize(
     minimize : str or sequence of str
         Objectives: resolutions (p, pt, dr, dz, phi0, theta, tanl), as the geometric mean of all points or at one
         momentum (``"dr @ 0.3 GeV/c"``); ``"channels"``; ``"area"`` m2; ``"x0"`` %; ``"outer_radius"``,
-        ``"inner_radius"``, ``"gap"`` mm (free space between parts); ``"pt_threshold"`` MeV/c; ``"occupancy"`` %.
-    constraints : mapping of str to (low, high)
+        ``"inner_radius"``, ``"gap"`` mm (free space between parts); ``"pt_threshold"`` MeV/c; ``"wires"``;
+        ``"occupancy"``, ``"wire_occupancy"`` %; ``"cost"``; or a function of a `Detector` that returns a number.
+    constraints : mapping of str or callable to (low, high)
         Limits of the same quantities in the unit of their column; None: no limit on this side.
     evaluate : Evaluation, a dict of its arguments, or its method
         How resolutions are computed. All designs have the same tracks; the objectives name the quantities.
     search : Search, a dict of its arguments, or its method, optional
     background : Background or mapping, optional
-        What "occupancy" needs: rate in kHz/cm2 at a radius ...
+        What "occupancy" and "wire_occupancy" need: rate in kHz/cm2 at a radius ...
+    prices : mapping of str to float, optional
+        What "cost" needs: prices of one unit of quantities of the geometry, such as ``{"channels": 20, "area": 5e4}``.
     output, workers, progress, started
         As for `sweep`.
 
@@ -120,16 +127,16 @@ def optimize(
     >>> space = {"cgem.L2.anode_radius": ("120 mm", "140 mm")}
     >>> best = cg.study.optimize("besiii-cgem-design", space, "dr", evaluate={"p": 0.5, "samples": 4})
     >>> best
-    besiii-cgem-design, gradient: 9 designs, 5 gradients; Optimization terminated successfully
+    besiii-cgem-design, readout binary, gradient: 16 designs, 7 gradients; converged in 6 steps
     design  cgem.L2.anode_radius (mm)  sigma_dr (um)
     base                        132.5         223.58
-    9                             120         222.18
+    16                         122.41         220.82
     """
     problems = Problems()
     start = load(base)
     evaluation: Any = evaluation_of(evaluate, problems)
     how: Any = _search(search, problems)
-    task = _checked(start, space, minimize, constraints or {}, evaluation, background, how, problems)
+    task = _checked(start, space, minimize, constraints or {}, evaluation, (background, prices or {}), how, problems)
     place, where = output_of(output), workers_of(workers)
     plan = _names(task, how)
     folder = chunk_folder(place, WORK, plan[1:], plan[1:])
@@ -175,11 +182,13 @@ def _searched(
 
 def _checked(
     base: Detector, space: Mapping[str, Any], minimize: Any, constraints: Mapping[str, Any],
-    evaluation: Evaluation | None, background: Any, search: Search | None, problems: Problems,
+    evaluation: Evaluation | None, more: tuple[Any, Any], search: Search | None, problems: Problems,
 ) -> _Task:  # fmt: skip
     """Return the arguments in their final form, or raise PlanError with every problem, those given among them."""
     variables = variables_of(base, space, problems)
-    texts = [minimize] if isinstance(minimize, str) else minimize
+    background, given = more
+    prices = prices_of(given, problems)
+    texts = [minimize] if isinstance(minimize, str) or callable(minimize) else minimize
     if not isinstance(texts, Sequence) or not texts or len(set(map(str, texts))) < len(texts):
         problems.note("minimize", repr(minimize), "one or several different objectives")
         texts = []
@@ -191,8 +200,12 @@ def _checked(
     hits = build(Background, background, "background", problems) if isinstance(background, Mapping) else background
     if hits is not None and not isinstance(hits, Background):
         problems.note("background", repr(background), "rate and more of Background")
-    if background is None and any(one.name == OCCUPANCY for one in goals):
+    if background is None and any(one.name in OCCUPANCIES for one in goals):
         problems.note("background", "none", "the rate of hits that occupancy needs")
+    if not prices and any(one.name == COST for one in goals):
+        problems.note("prices", "none", "prices of units of the geometry, which cost needs")
+    if len({one.header for one in goals}) < len(goals):
+        problems.note("minimize, constraints", "two functions of one name", "names that differ")
     if evaluation and not evaluation.function and any(one.name == UNSEEN for one in goals):
         if abs(species(evaluation.particle).pdg) != 11:
             problems.note("evaluate.particle", repr(evaluation.particle), "'e-' or 'e+', whose losses unseen_x0 counts")
@@ -210,7 +223,7 @@ def _checked(
     problems.report("optimize", PlanError)
     assert evaluation is not None
     full = replace(evaluation, quantities=names) if names else evaluation
-    return _Task(base, variables, objectives, limits, Goals(goals, full, hits), chosen)
+    return _Task(base, variables, objectives, limits, Goals(goals, full, hits, prices), chosen)
 
 
 def _check_method(
@@ -252,7 +265,7 @@ def _names(task: _Task, search: Search) -> tuple[str, str]:
 
 
 #: What the plan of an optimization may hold.
-KEYS = ("base", "minimize", "vary", "constraints", "evaluate", "search", "background", "settings")
+KEYS = ("base", "minimize", "vary", "constraints", "evaluate", "search", "background", "prices", "settings")
 
 
 class OptimizePlan(PlanFile):
@@ -261,6 +274,26 @@ class OptimizePlan(PlanFile):
     def run(self, **how: Any) -> Optimization:
         """Run the optimization with further arguments of `optimize`: `output`, `workers`, `progress` ..."""
         return optimize(**self.arguments, **how)
+
+    def beside(self, tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Return the tables with the files of functions as they are seen from a folder."""
+        return _with_goals(tables, lambda path, text: os.path.relpath(text, folder))
+
+
+def _with_goals(tables: dict[str, Any], change: Callable[[str, str], Any]) -> dict[str, Any]:
+    """Return tables in which ``FILE.py:FUNCTION`` among objectives and limits was changed, given its path and text."""
+
+    def changed(path: str, text: Any) -> Any:
+        return change(path, text) if isinstance(text, str) and ":" in text else text
+
+    found, goals, limits = dict(tables), tables.get("minimize"), tables.get("constraints")
+    if goals is not None:
+        found["minimize"] = (
+            [changed("minimize", one) for one in goals] if isinstance(goals, list) else changed("minimize", goals)
+        )
+    if isinstance(limits, Mapping):
+        found["constraints"] = {changed(f"constraints.{key}", key): ends for key, ends in limits.items()}
+    return found
 
 
 def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> OptimizePlan:
@@ -283,11 +316,16 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
     tables = read_tables(path, changes or {}, KEYS, problems)
     if "vary" not in tables:
         problems.note("vary", "nothing", "a table of keys of the detector file")
-    arguments: dict[str, Any] = {"base": tables.get("base"), "minimize": tables.get("minimize", "dr")}
+    folder = Path(path).resolve().parent
+    tables = _with_goals(tables, lambda _, text: str(folder / text))
+    goals = _with_goals(tables, lambda where, text: function_of(where, text, problems))
+    arguments: dict[str, Any] = {"base": tables.get("base"), "minimize": goals.get("minimize", "dr")}
     arguments["space"] = {key: range_of(value) for key, value in tables.get("vary", {}).items()}
-    arguments["constraints"] = _limits(tables.get("constraints", {}), problems)
+    arguments["constraints"] = _limits(goals.get("constraints", {}), problems)
     arguments["evaluate"] = read_evaluation(tables, _OWN, problems)
     arguments["search"] = build(Search, tables.get("search", {}), "search", problems)
+    if "prices" in tables:
+        arguments["prices"] = tables["prices"]
     if "background" in tables:
         arguments["background"] = build(Background, tables["background"], "background", problems)
     problems.report(str(path), PlanError)

@@ -1,4 +1,4 @@
-"""Optimization of one objective: scipy's searches on variables scaled to 0 to 1."""
+"""Optimization of one objective: searches on variables scaled to 0 to 1."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from cgemit.base.errors import DetectorError, Problem, ProblemsError
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Quantity, Whole
 from cgemit.chain.executor import Workers
-from cgemit.covariance.result import Covariance
-from cgemit.covariance.sensitivity import SurfacesError, logarithmic_slopes, varied
+from cgemit.covariance.sensitivity import logarithmic_slopes
 from cgemit.detector import Detector
 from cgemit.detector.inventory import gaps
 from cgemit.detector.layers import CgemLayer
@@ -30,7 +29,7 @@ from cgemit.study.sweep.space import Changes, sobol
 CHUNK = {"analytic": 5, "mc": 1}
 
 
-#: SLSQP with gradients, COBYLA without, NSGA-II.
+#: Linear programs with gradients, COBYLA without, NSGA-II.
 Method = Literal["gradient", "cobyla", "nsga2"]
 
 Count = Annotated[int, Whole(1, 1_000_000)]
@@ -47,7 +46,8 @@ class Search(SettingsData):
     Attributes
     ----------
     method : "gradient", "cobyla", "nsga2" or None
-        SLSQP with the gradients of the covariance; COBYLA, without gradients; NSGA-II (Optuna, extra ``[opt]``).
+        Linear programs with the gradients of the covariance; COBYLA, without gradients; NSGA-II (Optuna, extra
+        ``[opt]``).
         None: "gradient" for one objective of continuous numbers, else "nsga2".
     tolerance : float or None
         Relative change of the objective ("gradient", 1e-4) or change of the variables in units of their ranges
@@ -140,8 +140,8 @@ class Design:
 #: Step of differences of the geometry, in units of a variable's range.
 _STEP = 1e-4
 _MM = 10.0  # scale of the free space between parts
-#: The search keeps this distance from limits, relative to them: resolutions, other quantities. The first covers what
-#: a resolution changes by when its hits are renewed.
+#: The search keeps this distance from limits, relative to them: resolutions, other quantities. The first covers steps
+#: of a resolution where tracks cross other cells or fire other strips.
 _KEPT = (3e-4, 1e-5)
 #: Parts of a step that are tried in turn if the whole one is impossible.
 _CUTS = (1.0, 0.75, 0.5, 0.25, 0.1, 0.03, 0.0)
@@ -153,23 +153,19 @@ class NoStartError(ProblemsError):
 
 @dataclass
 class Descent:
-    """One search.
+    """The designs of one search: their goals, how far they are within limits, and the gradients of both.
 
-    With `fixed_hits`, resolutions are those of the same tracks with the same hits in every design (`varied`), so that
-    they are smooth functions of the design and have gradients; without, every design has its own hits. Strip counts
-    are real numbers in limits, never smaller than the whole ones. A step onto an impossible design is cut until the
-    design is possible, and costs what was cut. So is a step onto a design that cannot have the same hits, since its
-    slabs and wires are in another order; these designs are kept for `beyond`.
+    Every value is that of the design itself, with its own hits. Strip counts are real numbers in limits, never smaller
+    than the whole ones.
 
     Attributes
     ----------
     evaluator : Evaluator
     variables : tuple of Variable
     objective : Goal
-    fixed_hits : bool
     progress : callable or None
     designs : list of Design
-        All that were evaluated, in order: of kind "value" with their own hits, "step" with the hits of another one.
+        All that were evaluated, in order.
     gradients : int
         Number of gradients that were computed.
     """
@@ -177,74 +173,10 @@ class Descent:
     evaluator: Evaluator
     variables: tuple[Variable, ...]
     objective: Goal
-    fixed_hits: bool = False
     progress: Callable[[float, str], None] | None = None
     designs: list[Design] = field(default_factory=list)
     gradients: int = 0
-    _hits: _Anchored = field(default_factory=lambda: _Anchored())
-    _lines: tuple[Floats, Floats] = (np.empty((0, 0)), np.empty(0))
-
-    def start(self, u: Floats) -> None:
-        """Prepare the search from a start.
-
-        Raises
-        ------
-        NoStartError
-            With the problems of the detector there.
-        """
-        try:
-            first = gaps(self.detector(u))
-        except DetectorError as error:
-            raise NoStartError("start", error.problems) from None
-        # Radii and thicknesses enter linearly, so that one difference is exact everywhere.
-        columns = [self._difference(u, i, gaps) for i in range(len(u))]
-        ends = [one.low for one in self.evaluator.limits if one.goal.name == "gap"]
-        need = max((end * (1 + _KEPT[1]) for end in ends if end is not None), default=0.0)
-        matrix = np.array(columns).T.reshape(-1, len(u))
-        moved = np.abs(matrix).max(axis=1, initial=0) > 0
-        self._lines = matrix[moved] / _MM, (np.array(first) - need - matrix @ u)[moved] / _MM
-
-    def renew(self, u: Floats) -> dict[str, Any]:
-        """Evaluate a design with its own hits, keep these for the next steps, and return its row.
-
-        Raises
-        ------
-        NoStartError
-            If it is impossible, or no track has a covariance.
-        """
-        row = self._row(u)
-        if row["status"] != "ok":
-            raise NoStartError("start", [Problem("", one, "") for one in row["problems"]])
-        fixed = self.fixed_hits and self.evaluator.goals.quantities
-        self._hits = _Anchored(
-            covariances(self.detector(u), self.evaluator.goals.evaluation) if fixed else [], np.array(u)
-        )
-        return row
-
-    def beyond(self, row: dict[str, Any], refused: Sequence[Floats]) -> Floats | None:
-        """Return the best of the designs that could not have the same hits, with their own; None if `row` is better.
-
-        Parameters
-        ----------
-        row : dict
-            Of the design where the search with these hits ended.
-        refused : sequence of ndarray
-        """
-        rows = [(u, self._row(u)) for u in refused]
-        best = min(rows, key=lambda one: self._merit(one[1]), default=None)
-        return best[0] if best and self._merit(best[1]) < self._merit(row) else None
-
-    def refused(self, u: Floats) -> list[Floats]:
-        """Return some designs, near and far from u, that could not have its hits."""
-        far = sorted(self._hits.refused, key=lambda one: float(np.linalg.norm(one - u)))
-        return far[:: -max(1, len(far) // _MOST_REFUSED)]
-
-    def _merit(self, row: dict[str, Any]) -> tuple[float, float]:
-        """Return by how much a design misses its limits, and its objective."""
-        if row["status"] != "ok":
-            return math.inf, math.inf
-        missed = max((one for one in self.evaluator.violations(row).values() if one > TOLERANCE), default=0.0)
-        return missed, float(row["values"][self.objective.header])
+    _points: dict[tuple[float, ...], Point | None] = field(default_factory=dict)
 
     def numbers(self, u: Floats) -> list[float]:
         """Return the values of the variables."""
@@ -254,134 +186,98 @@ class Descent:
         """Return a design."""
         return self.evaluator.base.with_overrides(dict(changes_of(self.variables, self.numbers(u))))
 
-    def value(self, u: Floats) -> float:
-        """Return the logarithm of the objective."""
-        point = self._at(u)
-        return math.log(point.values[self.objective.header]) + 10 * point.cut
+    def point(self, u: Floats) -> Point | None:
+        """Return the design at u; None if it is impossible or no track has a covariance."""
+        u = np.clip(u, 0, 1)
+        name = tuple(float(x) for x in u)
+        if name not in self._points:
+            self._points[name] = self._evaluated(u)
+        return self._points[name]
 
-    def slope(self, u: Floats) -> Floats:
-        """Return the gradient of `value`."""
-        return self._slopes_at(u)[self.objective.header]
+    def start(self, u: Floats) -> Point:
+        """Return the design where a search starts.
 
-    def margins(self, u: Floats) -> Floats:
-        """Return by how much each limit is kept, relative to it, and the free space between parts."""
-        values = self._at(u).values
-        matrix, constant = self._lines
-        kept = [-one.violation(values[one.goal.header]) - _KEPT[not one.goal.resolution] for one in self._limits()]
-        return np.array([*kept, *(matrix @ u + constant)])
+        Raises
+        ------
+        NoStartError
+            With the problems of the detector there.
+        """
+        try:
+            self.detector(u)
+        except DetectorError as error:
+            raise NoStartError("start", error.problems) from None
+        point = self.point(u)
+        if point is None:
+            raise NoStartError("start", [Problem("", one, "") for one in self.designs[-1].row["problems"]])
+        return point
 
-    def margin_slopes(self, u: Floats) -> Floats:
-        """Return the derivatives of `margins`, (margins, variables)."""
-        values, slopes = self._at(u).values, self._slopes_at(u)
+    def slopes(self, point: Point) -> tuple[Floats, Floats]:
+        """Return the derivatives of the logarithm of the objective, (variables,), and of the margins.
+
+        Resolutions are those of the same tracks with the hits of this design in all of its neighbours (`varied`), so
+        that they are smooth.
+        """
+        self.gradients += 1
+        limits, u = self._limits(), point.u
+        goals = list(dict.fromkeys([self.objective, *(one.goal for one in limits)]))
+        smooth = [one for one in goals if not one.resolution]
+
+        def geometry(detector: Detector) -> list[float]:
+            return [*self._smooth(smooth, detector), *gaps(detector)]
+
+        # Radii and thicknesses enter free spaces linearly, so that one difference is exact.
+        found = np.array([self._difference(u, i, geometry) for i in range(len(u))]).T
+        scale = np.array([point.values[one.header] or 1.0 for one in smooth])[:, None]
+        relative = dict(zip((one.header for one in smooth), found[: len(smooth)] / scale, strict=True))
+        relative |= self._resolution_slopes(u, [one for one in goals if one.resolution])
         rows = []
-        for one in self._limits():
-            value = values[one.goal.header]
-            step = 1e-6 * abs(value)
+        for one in limits:
+            value = point.values[one.goal.header]
+            step = 1e-6 * (abs(value) or 1.0)
             outward = (one.violation(value + step) - one.violation(value - step)) / (2 * step)
-            rows.append(-outward * value * slopes[one.goal.header])
-        return np.array([*rows, *self._lines[0]]).reshape(-1, len(self.variables))
+            rows.append(-outward * (value or 1.0) * relative[one.goal.header])
+        spaces = found[len(smooth) :] / _MM
+        return relative[self.objective.header], np.array([*rows, *spaces]).reshape(-1, len(u))
+
+    def _evaluated(self, u: Floats) -> Point | None:
+        values = self.numbers(u)
+        row = self.evaluator.rows([changes_of(self.variables, values)])[0]
+        self.designs.append(Design(len(self.designs) + 1, "value", tuple(values), row))
+        if self.progress:
+            self.progress(min(0.99, len(self.designs) / 200), f"optimize, {len(self.designs)} designs")
+        if row["status"] != "ok":
+            return None
+        detector, goals = self.detector(u), self.evaluator.goals
+        smooth = [one for one in goals.goals if not one.resolution]
+        numbers = dict(zip((one.header for one in smooth), self._smooth(smooth, detector), strict=True))
+        found = row["values"] | numbers
+        ends = [one.low for one in self.evaluator.limits if one.goal.name == "gap"]
+        need = max((end * (1 + _KEPT[1]) for end in ends if end is not None), default=0.0)
+        kept = [-one.violation(found[one.goal.header]) - _KEPT[not one.goal.resolution] for one in self._limits()]
+        margins = np.array([*kept, *((one - need) / _MM for one in gaps(detector))])
+        value = float(found[self.objective.header])
+        missed = 0.0 if self.evaluator.allowed(row) else -float(margins.min())
+        return Point(u, row, found, math.log(value) if value > 0 else -math.inf, margins, missed)
+
+    def _smooth(self, goals: Sequence[Goal], detector: Detector) -> list[float]:
+        return [self.evaluator.goals.number(one, detector, smooth=True) for one in goals]
 
     def _limits(self) -> list[Limit]:
         return [one for one in self.evaluator.limits if one.goal.name != "gap"]
 
-    def _goals(self) -> list[Goal]:
-        return list(dict.fromkeys([self.objective, *(one.goal for one in self._limits())]))
-
-    def _at(self, u: Floats) -> _Point:
-        """Return the design at u, or where the step from the last possible one has to end."""
-        name = tuple(float(x) for x in u)
-        if name not in self._hits.points:
-            u = np.clip(np.array(name), 0, 1)
-            start = u if self._hits.last is None else self._hits.last
-            for part in _CUTS:
-                here = start + part * (u - start)
-                values = self._values(here)
-                if values is not None:
-                    break
-            else:
-                raise NoStartError(
-                    "start", [Problem("", f"an impossible design {self.numbers(u)}", "a possible start")]
-                )
-            self._hits.last = here
-            self._hits.points[name] = _Point(
-                here, self.detector(here), values, (1 - part) * float(np.linalg.norm(u - start))
-            )
-        return self._hits.points[name]
-
-    def _values(self, u: Floats) -> dict[str, float] | None:
-        """Return the goals of a design; None if it is impossible."""
-        values = self._with_fixed_hits(u) if self.fixed_hits else self._row(u).get("values")
-        if values is None:
-            return None
-        detector, goals = self.detector(u), self.evaluator.goals
-        real = {one.header: goals.number(one, detector, smooth=True) for one in self._goals() if not one.resolution}
-        return values | real
-
-    def _with_fixed_hits(self, u: Floats) -> dict[str, float] | None:
-        try:
-            detector = self.detector(u)
-            found = [varied(one, [detector])[0] for one in self._hits.covariances]
-        except SurfacesError:
-            self._hits.refused.append(u)
-            return None
-        except DetectorError as error:
-            problems = [str(one) for one in error.problems]
-            self._keep("step", self.numbers(u), {"status": "impossible", "problems": problems})
-            return None
-        goals = self.evaluator.goals
-        values = {one.header: goals.number(one, detector) for one in goals.goals if not one.resolution}
-        for goal in goals.goals:
-            if goal.resolution:
-                logs = [np.log(one.sigma(goal.name)[self._points(goal)]) for one in found]
-                values[goal.header] = math.exp(float(np.mean(logs)))
-        row = {"status": "ok", "problems": [], "hash": detector.content_hash}
-        self._keep("step", self.numbers(u), row | {"values": values})
-        return values if all(map(math.isfinite, values.values())) else None
-
-    def _points(self, goal: Goal) -> list[int]:
-        return [i for i, p in enumerate(self.evaluator.goals.evaluation.p) if goal.p in (None, p)]
-
-    def _row(self, u: Floats) -> dict[str, Any]:
-        values = self.numbers(u)
-        row = self.evaluator.rows([changes_of(self.variables, values)])[0]
-        self._keep("value", values, row)
-        return row
-
-    def _keep(self, kind: str, values: Sequence[float], row: dict[str, Any]) -> None:
-        self.designs.append(Design(len(self.designs) + 1, kind, tuple(values), row))
-        if self.progress:
-            self.progress(min(0.99, len(self.designs) / 200), f"optimize, {len(self.designs)} designs")
-
-    def _slopes_at(self, u: Floats) -> dict[str, Floats]:
-        """Return the derivatives of the logarithm of every goal by the scaled variables."""
-        name = tuple(float(x) for x in u)
-        if name not in self._hits.slopes:
-            point = self._at(u)
-            self._hits.slopes[name] = self._resolution_slopes(point) | {
-                one.header: self._geometry_slope(one, point) for one in self._goals() if not one.resolution
-            }
-            self.gradients += 1
-        return self._hits.slopes[name]
-
-    def _resolution_slopes(self, point: _Point) -> dict[str, Floats]:
-        goals = [one for one in self._goals() if one.resolution]
+    def _resolution_slopes(self, u: Floats, goals: Sequence[Goal]) -> dict[str, Floats]:
         if not goals:
             return {}
+        detector, evaluation = self.detector(u), self.evaluator.goals.evaluation
         names = tuple(dict.fromkeys(one.name for one in goals))
         keys = [one.key for one in self.variables]
-        found = [logarithmic_slopes(one, point.detector, keys, names)[0] for one in self._hits.covariances]
+        found = [logarithmic_slopes(one, one.detector, keys, names)[0] for one in covariances(detector, evaluation)]
         values = np.mean(found, axis=0)  # (keys, quantities, p)
-        pairs = zip(self.variables, self.numbers(point.u), strict=True)
+        pairs = zip(self.variables, self.numbers(u), strict=True)
         chain = np.array([(one.high - one.low) * one.relative(number) for one, number in pairs])
-        means = {one.header: values[:, names.index(one.name), self._points(one)].mean(axis=1) for one in goals}
+        at = {one.header: [i for i, p in enumerate(evaluation.p) if one.p in (None, p)] for one in goals}
+        means = {one.header: values[:, names.index(one.name), at[one.header]].mean(axis=1) for one in goals}
         return {header: chain * np.nan_to_num(mean) for header, mean in means.items()}
-
-    def _geometry_slope(self, goal: Goal, point: _Point) -> Floats:
-        def number(one: Detector) -> list[float]:
-            return [self.evaluator.goals.number(goal, one, smooth=True)]
-
-        slope = [self._difference(point.u, i, number)[0] for i in range(len(point.u))]
-        return np.array(slope) / point.values[goal.header]
 
     def _difference(self, u: Floats, i: int, function: Callable[[Detector], list[float]]) -> Floats:
         """Return the derivative of some numbers of a design by one variable, between possible neighbours."""
@@ -400,31 +296,32 @@ class Descent:
         return np.zeros(len(function(self.detector(u))))
 
 
-@dataclass
-class _Anchored:
-    """What a search keeps as long as it has the same hits."""
-
-    covariances: list[Covariance] = field(default_factory=list)
-    last: Floats | None = None  # the last possible design
-    points: dict[tuple[float, ...], _Point] = field(default_factory=dict)
-    slopes: dict[tuple[float, ...], dict[str, Floats]] = field(default_factory=dict)
-    refused: list[Floats] = field(default_factory=list)
-
-
 @dataclass(frozen=True)
-class _Point:
-    """Where a step ends: its design, the values of all goals, and how much of the step was cut."""
+class Point:
+    """One design of a search.
+
+    Attributes
+    ----------
+    u : (variables,) float64
+        In units of the ranges.
+    row : dict
+        Of `Evaluator.rows`.
+    values : dict of str to float
+        Of all goals, without rounding to whole strips.
+    value : float
+        Logarithm of the objective.
+    margins : (margins,) float64
+        By how much each limit is kept, relative to it, and the free space between parts; less `_KEPT`.
+    missed : float
+        By how much the worst limit is violated; 0 of an allowed design.
+    """
 
     u: Floats
-    detector: Detector
+    row: dict[str, Any]
     values: dict[str, float]
-    cut: float
-
-
-#: Most times that hits are renewed, and the step, in units of the ranges, below which they need not be.
-_ROUNDS, _MOVED = 6, 2e-3
-#: Most times that a search goes on where slabs and wires are in another order, and about how many designs it tries.
-_MOST_CROSSINGS, _MOST_REFUSED = 30, 12
+    value: float
+    margins: Floats
+    missed: float
 
 
 @dataclass(frozen=True)
@@ -487,7 +384,7 @@ def descend(
     first = np.array([(value - one.low) / (one.high - one.low) for value, one in pairs])
     found: list[Found] = []
     for u in (first, *_other_starts(evaluator, variables, how)):
-        descent = Descent(evaluator, variables, objective, fixed_hits=method == "gradient", progress=progress)
+        descent = Descent(evaluator, variables, objective, progress)
         try:
             found.append(_descended(descent, u, method, tolerance, how.steps))
         except NoStartError:
@@ -529,12 +426,15 @@ def _descended(
 ) -> Found:
     """Return the designs of a search from one start."""
     evaluator, variables = descent.evaluator, descent.variables
-    descent.start(first)
-    message = (_with_gradients if method == "gradient" else _without)(descent, first, tolerance, steps)
+    start = descent.start(first)
+    message = (_with_gradients if method == "gradient" else _without)(descent, start, tolerance, steps)
     best = _best(descent)
     if best is None:
         message = with_failures(f"{message}; {no_allowed(evaluator, descent.designs)}", descent.designs)
         return Found(tuple(descent.designs), descent.gradients, message)
+    if start.missed:
+        number = next(one.call for one in descent.designs if evaluator.allowed(one.row))
+        message = f"the start misses a limit, the first allowed design is number {number}; {message}"
     values = rounded(evaluator.base, variables, best.values)
     row = evaluator.rows([changes_of(variables, values)])[0]
     if not evaluator.allowed(row):  # filling the sheet went over a limit
@@ -544,8 +444,8 @@ def _descended(
 
 
 def no_allowed(evaluator: Evaluator, designs: Sequence[Design]) -> str:
-    """Return that no design with its own hits keeps all limits, and by how much the nearest one misses which."""
-    rows = [one.row for one in designs if one.kind != "step" and one.row["status"] == "ok" and "values" in one.row]
+    """Return that no design keeps all limits, and by how much the nearest one misses which."""
+    rows = [one.row for one in designs if one.row["status"] == "ok" and "values" in one.row]
     if not rows:
         return "no design could be evaluated"
     nearest = min(rows, key=lambda row: max(evaluator.violations(row).values(), default=0.0))
@@ -570,55 +470,110 @@ def with_failures(message: str, designs: Sequence[Design]) -> str:
     return f"{ended}; {len(failed)} of {len(designs)} evaluations failed, the first with {failed[0]['problems'][0]}"
 
 
-def _with_gradients(descent: Descent, u: Any, tolerance: float, steps: int) -> str:
-    """Minimize with fixed hits, renew the hits at the minimum, and repeat until this changes nothing.
+#: First, largest and smallest size of a step, in units of the ranges.
+_FIRST, _LARGEST, _SMALLEST = 0.2, 0.4, 1e-3
+#: A step is taken if the objective falls, or the violation, by this part of what the gradients expect.
+_EXPECTED = 0.1
+#: Weight of a violation against the logarithm of the objective: first an allowed design, then a better one.
+_WEIGHT = 1e3
 
-    Where slabs and wires change their order, the search ends; it goes on beyond, if the designs there are better.
+
+def _with_gradients(descent: Descent, here: Point, tolerance: float, steps: int) -> str:
+    """Minimize by linear programs within a box that grows and shrinks; every step is a design with its own hits.
+
+    While the design violates a limit, steps reduce the worst violation; later ones keep all limits and reduce the
+    objective. R. Fletcher and E. Sainz de la Maza, Math. Program. 43 (1989) 235, without second derivatives.
     """
-    from scipy.optimize import minimize
-
-    limits = {"type": "ineq", "fun": descent.margins, "jac": descent.margin_slopes}
-    descent.renew(u)
-    message, rounds, crossings = "", 0, 0
-    while rounds < _ROUNDS:
-        found: Any = minimize(
-            descent.value, u, jac=descent.slope, method="SLSQP", bounds=[(0.0, 1.0)] * len(u), constraints=[limits],
-            options={"ftol": tolerance, "maxiter": steps},
-        )  # fmt: skip
-        new = np.clip(found.x, 0, 1)
-        moved, message, refused = float(np.abs(new - u).max()), str(found.message), descent.refused(u)
-        try:
-            row = descent.renew(new)
-        except NoStartError as error:  # the last step touched another part
-            return f"{message}; {error}"
-        u, beyond = new, descent.beyond(row, refused)
-        if beyond is None:
-            rounds += 1
-            if moved < _MOVED:
+    size = _FIRST
+    for step in range(1, steps + 1):
+        slope, matrix = descent.slopes(here)
+        while True:
+            move, left = _move(slope, matrix, here.margins, here.u, size)
+            gain = here.missed - left if here.missed else -float(slope @ move)
+            if gain < (_KEPT[1] if here.missed else tolerance):
+                if size >= _LARGEST or not here.missed:
+                    return _ended(here, step, gain, tolerance)
+                size = _LARGEST  # the limits may be kept farther away
+                continue
+            new = _taken(descent, here, move, gain)
+            if new is None and not here.missed:  # limits bend: once more with what the first try missed
+                tried = descent.point(here.u + move)
+                if tried is not None and tried.missed:
+                    bent = tried.margins - matrix @ move
+                    move, _ = _move(slope, matrix, bent, here.u, size)
+                    new = _taken(descent, here, move, -float(slope @ move))
+            if new is not None:
                 break
-        elif crossings == _MOST_CROSSINGS:
-            return "slabs and wires change their order too often; method cobyla needs no fixed order"
-        else:
-            u, crossings = beyond, crossings + 1
-            descent.renew(u)
-    return message
+            size = 0.4 * min(size, float(np.abs(move).max()))
+            if size < _SMALLEST:
+                return _ended(here, step, gain, tolerance)
+        fell = here.missed - new.missed if here.missed else here.value - new.value
+        size = min(_LARGEST, 1.6 * size) if fell > 0.5 * gain else size
+        here = new
+    return f"{steps} steps, their limit"
 
 
-def _without(descent: Descent, u: Any, tolerance: float, steps: int) -> str:
+def _ended(here: Point, step: int, gain: float, tolerance: float) -> str:
+    if here.missed:
+        return f"ended after {step - 1} steps: no small step comes closer to the limits"
+    if gain < tolerance:
+        return f"converged in {step - 1} steps"
+    return f"ended after {step - 1} steps: no step is better, down to {_SMALLEST:g} of the ranges"
+
+
+def _move(slope: Floats, matrix: Floats, margins: Floats, u: Floats, size: float) -> tuple[Floats, float]:
+    """Return the best step of linear goals and margins within a box, and the violation that it leaves."""
+    from scipy.optimize import linprog
+
+    box = [(max(-size, -x), min(size, 1 - x)) for x in u.tolist()]
+    found = linprog(
+        [*slope, _WEIGHT], A_ub=np.column_stack([-matrix, -np.ones(len(matrix))]) if len(matrix) else None,
+        b_ub=margins if len(matrix) else None, bounds=[*box, (0, None)],
+    )  # fmt: skip
+    return np.asarray(found.x[:-1]), float(found.x[-1])
+
+
+def _taken(descent: Descent, here: Point, move: Floats, gain: float) -> Point | None:
+    """Return the design after a step; None if the step is not good enough."""
+    new = descent.point(here.u + move)
+    if new is None or (new.missed and not here.missed):
+        return None
+    if here.missed:
+        return new if here.missed - new.missed >= _EXPECTED * gain else None
+    return new if here.value - new.value >= _EXPECTED * gain > 0 else None
+
+
+def _without(descent: Descent, start: Point, tolerance: float, steps: int) -> str:
+    """Minimize without gradients; a step onto an impossible design is cut until it is possible, which costs."""
     from scipy.optimize import minimize
 
-    limits = {"type": "ineq", "fun": descent.margins}
-    found: Any = minimize(
-        descent.value, u, method="COBYLA", bounds=[(0.0, 1.0)] * len(u), constraints=[limits],
+    last, found = start, {tuple(start.u.tolist()): (start, 0.0)}
+
+    def at(u: Floats) -> tuple[Point, float]:
+        nonlocal last
+        name, u = tuple(u.tolist()), np.clip(u, 0, 1)
+        if name not in found:
+            points = ((descent.point(last.u + part * (u - last.u)), part) for part in _CUTS)
+            point, part = next((one, part) for one, part in points if one is not None)
+            found[name], last = (point, (1 - part) * float(np.linalg.norm(u - last.u))), point
+        return found[name]
+
+    def value(u: Floats) -> float:
+        point, cut = at(u)
+        return point.value + 10 * cut
+
+    limits = {"type": "ineq", "fun": lambda u: at(u)[0].margins}
+    ended: Any = minimize(
+        value, start.u, method="COBYLA", bounds=[(0.0, 1.0)] * len(start.u), constraints=[limits],
         options={"rhobeg": 0.2, "tol": tolerance, "maxiter": steps},
     )  # fmt: skip
-    return str(found.message)
+    return str(ended.message)
 
 
 def _best(descent: Descent) -> Design | None:
     """Return the allowed design with the lowest objective, of those with their own hits."""
     header = descent.objective.header
-    allowed = [one for one in descent.designs if one.kind == "value" and descent.evaluator.allowed(one.row)]
+    allowed = [one for one in descent.designs if descent.evaluator.allowed(one.row)]
     return min(allowed, key=lambda one: float(one.row["values"][header]), default=None)
 
 

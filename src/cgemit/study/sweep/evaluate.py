@@ -332,7 +332,7 @@ class Evaluated:
         raise TypeError(f"{self.identity}: only results that are there can be read")
 
 
-def identity(function: Function) -> str:
+def identity(function: Callable[[Detector], Any]) -> str:
     """Return what tells a function from others: its module, its name and a hash of its source.
 
     Values that it refers to are not seen: a sweep is not redone when they change.

@@ -71,6 +71,7 @@ class PlanFile:
         if evaluation.function is not None:
             method = os.path.relpath(tables["evaluate"]["method"], Path(folder).resolve())
             tables["evaluate"] = {**tables["evaluate"], "method": method, FUNCTION: identity(evaluation.function)}
+        tables = self.beside(tables, Path(folder).resolve())
         with add_files(folder) as place:
             for (key, name), path in getattr(self.arguments["space"], "files", {}).items():
                 (place / name).parent.mkdir(parents=True, exist_ok=True)
@@ -82,6 +83,10 @@ class PlanFile:
             # Ranges in place, since TOML has tables last: the order of the keys is that of columns and of searches.
             ranges = {key for name in _FREE for key in tables.get(name, ())}
             (place / PLAN).write_text(toml_text(tables, in_place=ranges), encoding="utf-8")
+
+    def beside(self, tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """Return the tables with further paths as they are seen from a folder."""
+        return tables
 
 
 def read_tables(
@@ -158,23 +163,25 @@ def read_evaluation(
         given = {name: value for name, value in given.items() if name != FUNCTION}
     table = dict(entries(given, "evaluate", known, problems))
     if isinstance(table.get("method"), str) and ":" in table["method"]:
-        table["method"] = Evaluated(str(stored)) if evaluated else _function(table["method"], problems)
+        table["method"] = (
+            Evaluated(str(stored)) if evaluated else function_of("evaluate.method", table["method"], problems)
+        )
     found = build(Evaluation, table, "evaluate", problems)
     return replace(found, settings=settings) if found is not None else None
 
 
-def _function(method: str, problems: Problems) -> Any:
-    """Return the function of ``FILE.py:FUNCTION``; a placeholder, with a problem noted, if there is none."""
-    file, _, name = method.rpartition(":")
+def function_of(path: str, text: str, problems: Problems) -> Any:
+    """Return the function of ``FILE.py:FUNCTION``; a placeholder, with a problem noted at a path, if there is none."""
+    file, _, name = text.rpartition(":")
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
     if spec is None or spec.loader is None or not Path(file).is_file():
-        problems.note("evaluate.method", repr(method), "FILE.py:FUNCTION with a file that exists")
+        problems.note(path, repr(text), "FILE.py:FUNCTION with a file that exists")
         return dict
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     function = getattr(module, name, None)
     if not callable(function):
-        problems.note("evaluate.method", repr(method), "a function of that file")
+        problems.note(path, repr(text), "a function of that file")
         return dict
     return function
 

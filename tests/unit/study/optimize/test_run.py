@@ -15,6 +15,7 @@ import pytest
 import cgemit as cg
 from cgemit.base.errors import Problems
 from cgemit.cli.main import main
+from cgemit.covariance.sensitivity import varied
 from cgemit.detector import inventory
 from cgemit.study import Background, Optimization, PlanError, Search, optimize, sobol, sweep
 from cgemit.study.optimize.goals import Goals, Variable, goal_of, limits_of, variables_of
@@ -118,6 +119,67 @@ def test_occupancy_by_hand() -> None:
     assert inventory.occupancy(DESIGN, falling) == pytest.approx(100 * (1 - math.exp(-mean)), rel=1e-9)
 
 
+def test_occupancy_of_wires_and_cost_by_hand() -> None:
+    background = Background(rate=10, radius=100, power=0, wire_window=400)
+    cells = [2 * math.pi * one.r_mid / one.cells * (one.ends[1] - one.ends[0]) / 100 for one in DESIGN.wires]  # cm2
+    wanted = 100 * (1 - math.exp(-10e3 * max(cells) * 400e-9))
+    assert inventory.wire_occupancy(DESIGN, background) == pytest.approx(wanted, rel=1e-9)
+    assert inventory.wires(DESIGN) == sum(one.cells for one in DESIGN.wires)
+    prices = {"channels": 20, "area": 5e4}
+    space = {"cgem.*.pitch_x": ("400 um", "800 um")}
+    limits = {"wire_occupancy": (None, 90), "cost": (None, 3e5)}
+    how: dict[str, Any] = {"evaluate": Evaluation(p=0.3, samples=16), "background": background, "prices": prices}
+    found = optimize(DESIGN, space, "dr", limits, **how)
+    assert found["cost"][0] == pytest.approx(20 * 10010 + 5e4 * inventory.area(DESIGN))
+    assert found["wire_occupancy (%)"][0] == pytest.approx(wanted)
+    best = found.detector()
+    assert found["cost"][-1] == pytest.approx(20 * inventory.channels(best) + 5e4 * inventory.area(best))
+    assert 0.99 * 3e5 < found["cost"][-1] <= 3e5
+    with pytest.raises(PlanError) as error:
+        optimize(DESIGN, space, "dr", {"cost": (None, 1)}, prices={"chanels": 2, "area": "much"})
+    assert "prices.chanels: got 2, expected prices of channels, wires" in str(error.value)
+    assert "prices.area: got 'much', expected a number" in str(error.value)
+    with pytest.raises(PlanError, match="prices: got none, expected prices"):
+        optimize(DESIGN, space, "cost")
+
+
+def strips_of_first(detector: cg.Detector) -> float:
+    """Strips of L1, as a user's own limit."""
+    return detector.cgem[0].strips_x
+
+
+def _many(detector: cg.Detector) -> Any:
+    return "many"
+
+
+def test_a_function_of_the_user_is_a_limit_and_a_goal(tmp_path: Path) -> None:
+    space = {"cgem.L1.pitch_x": ("400 um", "900 um")}
+    how: dict[str, Any] = {"evaluate": {"p": 0.3, "samples": 16}, "search": "cobyla"}
+    found = optimize(DESIGN, space, "dr", {strips_of_first: (None, 700)}, **how)
+    (best,) = found.front
+    assert found["strips_of_first"][0] == DESIGN.cgem[0].strips_x > 700
+    assert 690 <= found["strips_of_first"][best] <= 700
+    (tmp_path / "own.py").write_text("def strips_of_first(detector):\n    return detector.cgem[0].strips_x\n")
+    (tmp_path / "plan.toml").write_text("""
+base = "besiii-cgem-design"
+minimize = "dr"
+vary."cgem.L1.pitch_x" = { from = "400 um", to = "900 um" }
+constraints."own.py:strips_of_first" = { max = 700 }
+evaluate = { p = 0.3, samples = 16 }
+search.method = "cobyla"
+""")
+    plan = read_optimize_plan(tmp_path / "plan.toml")
+    again = plan.run(output=tmp_path / "out", started=lambda: plan.write(tmp_path / "out"))
+    assert again["sigma_dr (um)"].tolist() == found["sigma_dr (um)"].tolist()
+    assert again["strips_of_first"].tolist() == found["strips_of_first"].tolist()
+    copied = read_optimize_plan(tmp_path / "out" / "plan.toml")
+    assert [key.__name__ for key in copied.arguments["constraints"]] == ["strips_of_first"]
+    with pytest.raises(PlanError, match=r"FILE\.py:FUNCTION with a file that exists"):
+        read_optimize_plan(tmp_path / "plan.toml", {"minimize": "none.py:f"})
+    with pytest.raises(PlanError, match="_many: got 'many', expected a finite number"):
+        optimize(DESIGN, space, "dr", {_many: (None, 1)}, **how)
+
+
 def test_strips_without_rounding_are_never_fewer() -> None:
     for variant in sobol({"cgem.*.pitch_x": ("300 um", "900 um"), "cgem.*.pitch_v": ("300 um", "900 um")}, 16).variants:
         detector = DESIGN.with_overrides(dict(variant))
@@ -134,40 +196,81 @@ def test_gradients_are_the_slopes_of_what_is_minimized() -> None:
     evaluation = Evaluation(p=[0.3, 1.0], cos_theta=[0.0, 0.6], quantities=["dr", "dz"], samples=64)
     limits = limits_of({"dz": (None, 10), "channels": (None, 1e5), "x0": (None, 10)}, (0.3, 1.0), problems)
     evaluator = Evaluator(DESIGN, Goals(goals, evaluation, None), limits, None, cg.Workers())
-    descent = Descent(evaluator, variables_of(DESIGN, space, problems), goals[0], fixed_hits=True)
+    descent = Descent(evaluator, variables_of(DESIGN, space, problems), goals[0])
     assert not problems
     u = np.array([0.4, 0.5, 0.3, 0.4, 0.2, 0.5])
-    descent.start(u)
-    descent.renew(u + 0.05)
-    slopes = np.array([descent.slope(u), *(descent.margin_slopes(u)[:3])])
-    scale = np.abs(slopes).max(axis=1)
+    point = descent.start(u)
+    slope, margins = descent.slopes(point)
+    covariances = [cg.analytic(descent.detector(u), "mu-", p=[0.3, 1.0], cos_theta=c, samples=64) for c in (0, 0.6)]
+
+    def numbers(u: Any) -> Any:
+        """The objective and the margins, with the hits of the design at u."""
+        detector = descent.detector(u)
+        found = [varied(one, [detector])[0] for one in covariances]
+        dr = np.mean([np.log(one.sigma("dr")[0]) for one in found])
+        dz = math.exp(np.mean([np.log(one.sigma("dz")) for one in found]))
+        return [dr, 1 - dz / 10, 1 - inventory.smooth_channels(detector) / 1e5,
+                1 - inventory.radiation_lengths(detector) / 10, *(np.array(inventory.gaps(detector)) / 10)]  # fmt: skip
+
+    assert point.value == pytest.approx(numbers(u)[0], rel=1e-12)
+    assert point.margins[:3] == pytest.approx(np.array(numbers(u)[1:4]) - [3e-4, 1e-5, 1e-5], rel=1e-9)
+    slopes = np.array([slope, *margins])
+    scale = np.maximum(np.abs(slopes).max(axis=1), 1e-3)  # the last free space does not change
     errors = []
     for step in (0.02, 0.01):  # Taylor: the error of central differences falls with the square of the step
-        moved = step * np.eye(len(u))
-        up, down = (np.array([[descent.value(u + s * one), *descent.margins(u + s * one)[:3]] for one in moved])
-                    for s in (1, -1))  # fmt: skip
+        up, down = (np.array([numbers(u + s * step * one) for one in np.eye(len(u))]) for s in (1, -1))
         errors.append(np.abs((up - down).T / (2 * step) - slopes).max(axis=1) / scale)
     # d_z oscillates with the pitch of the V strips, so that its second differences are large.
-    assert (errors[0] < [2e-3, 0.2, 2e-3, 1e-6]).all()
+    assert (errors[0] < [2e-3, 0.2, 2e-3, *(1e-6,) * (len(slopes) - 3)]).all()
     assert (errors[1] < np.maximum(errors[0] / 3.5, 1e-6)).all()
 
 
-def test_a_step_that_closes_the_gap_between_parts_is_cut() -> None:
-    """There the gas between the layers is gone, so that the hits of the design before cannot be kept."""
-    problems: list[str] = []
-    goal = goal_of("", "dr @ 0.3", (0.3,), problems)
-    evaluation = Evaluation(p=0.3, quantities=["dr"], samples=64)
-    evaluator = Evaluator(DESIGN, Goals((goal,), evaluation, None), (), None, cg.Workers())
-    variables = variables_of(DESIGN, {"cgem.L3.anode_radius": "bounds"}, problems)
-    descent = Descent(evaluator, variables, goal, fixed_hits=True)
-    assert not problems
-    descent.renew(np.array([0.5]))
-    closed = np.array([0.0])
-    assert np.isfinite(descent.value(closed))
-    assert np.isfinite(descent.slope(closed)).all()
-    assert 0.0 in [float(one[0]) for one in descent.refused(np.array([0.5]))]
-    inside = [one.values[0] for one in descent.designs if one.kind == "step" and one.row["status"] == "ok"]
-    assert inside[-1] == pytest.approx(variables[0].low + 0.125 * (variables[0].high - variables[0].low))
+def test_a_step_onto_an_impossible_design_is_cut() -> None:
+    space = {"cgem.L3.anode_radius": "bounds"}
+    how: dict[str, Any] = {"minimize": "dr @ 0.3", "evaluate": Evaluation(p=0.3, samples=64)}
+    low, high = DESIGN.bounds("cgem.L3.anode_radius")
+    for method in ("gradient", "cobyla"):
+        found = optimize(DESIGN, space, search=Search(method=method), **how)
+        (best,) = found.front
+        assert low <= found["cgem.L3.anode_radius (mm)"][best] <= high
+        assert found["sigma_dr at 0.3 GeV/c (um)"][best] <= found["sigma_dr at 0.3 GeV/c (um)"][0]
+
+
+#: Seven variables of the design. The base violates the limit of d_z.
+SEVEN = {
+    "cgem.L1.anode_radius": ("60 mm", "95 mm"), "cgem.L2.anode_radius": ("100 mm", "150 mm"),
+    "cgem.L3.anode_radius": ("150 mm", "178 mm"), "cgem.*.pitch_x": ("300 um", "1000 um"),
+    "cgem.*.pitch_v": ("300 um", "1000 um"), "cgem.*.drift_gap": ("3 mm", "8 mm"),
+    "cgem.*.stereo": ("15 deg", "60 deg"),
+}  # fmt: skip
+SEVEN_LIMITS = {"channels": (None, 12000), "x0": (None, 1.5), "gap": (3, None), "dz @ 0.3": (None, 0.29)}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"cgem.*.pitch_x": "350 um", "cgem.*.pitch_v": "350 um"},
+        {"cgem.*.pitch_x": "900 um", "cgem.*.stereo": "20 deg"},
+    ],
+)
+def test_a_start_that_violates_limits_ends_at_the_allowed_optimum(changes: dict[str, Any]) -> None:
+    """NSGA-II needs 6100 designs for 206 um; impossible to miss from any of these starts."""
+    base = DESIGN.with_overrides(changes) if changes else DESIGN
+    found = optimize(base, SEVEN, "dr @ 0.3", SEVEN_LIMITS, Evaluation(particle="pi-", p=0.3))
+    assert not found.columns["allowed"][0]
+    (best,) = found.front
+    assert best == len(found) - 1
+    header = "sigma_dr at 0.3 GeV/c (um)"
+    allowed = found["allowed"] & np.isfinite(found[header])
+    assert found[header][best] == found[header][allowed].min() < 1.01 * 206
+    assert found.evaluations < 100
+    first = int(np.flatnonzero(allowed)[0])
+    assert f"the start misses a limit, the first allowed design is number {first};" in found.message
+    assert "no design" not in found.message
+    table = found.to_pandas().loc[best]
+    assert (table["channels"] <= 12000) & (table["x0 (%)"] <= 1.5) & (table["gap (mm)"] >= 3 - 1e-5)
+    assert table["sigma_dz at 0.3 GeV/c (mm)"] <= 0.29
 
 
 def test_a_search_within_the_bounds_ends_at_a_possible_design() -> None:
@@ -205,11 +308,12 @@ def test_a_start_beyond_a_limit_crosses_other_orders(tmp_path: Path) -> None:
 
 def test_the_free_space_between_parts_is_linear(found: Optimization) -> None:
     descent = Descent(found.evaluator, found.variables, found.objectives[0])
-    descent.start(np.full(4, 0.5))
+    start = descent.start(np.full(4, 0.5))
+    _, slopes = descent.slopes(start)
     for u in ([0.0, 0.9, 0.2, 0.1], [1.0, 0.3, 0.8, 0.9]):
         gaps = inventory.gaps(descent.detector(np.array(u)))
-        # The first three change with the two radii, the last one does not.
-        assert descent.margins(np.array(u))[1:] == pytest.approx((np.array(gaps[:3]) - 3) / 10, abs=1e-5)
+        expected = start.margins[1:] + slopes[1:] @ (np.array(u) - 0.5)
+        assert expected == pytest.approx((np.array(gaps) - 3) / 10, abs=1e-5)
 
 
 def test_both_searches_find_the_same_optimum_and_keep_all_limits(found: Optimization) -> None:
@@ -300,8 +404,7 @@ def test_an_optimum_without_an_allowed_design_says_so() -> None:
         evaluate=Evaluation(samples=64),
     )
     assert none.front == []
-    kinds = none.columns["kind"]
-    channels = [number for number, kind in zip(none.columns["channels"], kinds, strict=True) if kind != "step"]
+    channels = none.columns["channels"]
     text = f"no design that was tried keeps all limits; the nearest one has channels {min(channels):g}, "
     assert f"{text}{min(channels) - 100:.3g} % above its limit 100" in none.message
     with pytest.raises(ValueError, match="expected the row of a design"):
@@ -490,10 +593,8 @@ def test_the_picture_shows_every_allowed_design_and_the_best_so_far(found: Optim
     (axes,) = found.draw().axes
     table = found.to_pandas()
     allowed = table[table["allowed"]]
-    (steps,) = [one for one in axes.lines if one.get_label() == "allowed, with the hits of another design"]
-    assert steps.get_xdata().tolist() == allowed["design"][allowed["kind"] == "step"].tolist()
     (container,) = axes.containers
-    assert container.lines[0].get_ydata().tolist() == allowed["sigma_dr (um)"][allowed["kind"] != "step"].tolist()
+    assert container.lines[0].get_ydata().tolist() == allowed["sigma_dr (um)"].tolist()
     (best,) = [one for one in axes.lines if one.get_drawstyle() == "steps-post"]
     assert best.get_ydata()[-1] == allowed["sigma_dr (um)"].min()
     assert axes.get_ylabel() == r"σ($d_\rho$)  (µm)"
