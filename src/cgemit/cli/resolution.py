@@ -145,7 +145,8 @@ def _expected(arguments: argparse.Namespace, detectors: Sequence[Detector], sett
     )
     with new_folder(arguments.output, overwrite=arguments.overwrite) as temporary:
         if arguments.map:
-            write_csv(temporary / "map.csv", {_header(name): column.tolist() for name, column in resolution.table().items()})
+            columns = {_header(name): column.tolist() for name, column in resolution.table().items()}
+            write_csv(temporary / "map.csv", columns)
             draw_maps(resolution).save(temporary / "map")
         for name, budget in budgets.items():
             write_csv(temporary / f"budget_{name}.csv", budget.columns())
