@@ -17,6 +17,7 @@
 # from any program ([how to](../docs/how-to/own_hits.md)). Here they are simulated, so that the right answer is known.
 
 # %%
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
@@ -69,8 +70,6 @@ good = again[(again["layer"] == device) & (again["view"] == 0)]
 print(f"device: {1000 * sigma:.1f} um (true: 60), width of the pull now {good['pull'].std():.3f}")
 
 # %%
-import matplotlib.pyplot as plt  # noqa: E402
-
 figure, axes = plt.subplots(figsize=(6, 3.5))
 for frame, name in ((x, "errors of 100 um"), (good, f"errors of {1000 * sigma:.0f} um")):
     axes.hist(frame["pull"], np.linspace(-5, 5, 61), histtype="step", label=name)

@@ -26,6 +26,8 @@
 # ```
 
 # %%
+import matplotlib.pyplot as plt
+
 import cgemit as cg
 
 detector = cg.load("besiii-cgem").with_field("besiii")
@@ -70,8 +72,6 @@ masses = good["mass"][(good["mass"] > 2.9) & (good["mass"] < 3.3)]
 print(cg.study.measure(1000 * masses, parameter="mass", unit="MeV/c2"))
 
 # %%
-import matplotlib.pyplot as plt  # noqa: E402
-
 figure, axes = plt.subplots(figsize=(6, 3.5))
 axes.hist(masses, 30)
 _ = axes.set(xlabel="mass of two muons [GeV/c2]", ylabel="pairs")

@@ -55,8 +55,8 @@ class FitSettings(SettingsData):
         Energy loss that is subtracted: ``"truncated"`` for the core of a momentum measurement, ``"mean"`` of all
         collisions, or Landau's ``"most_probable"`` one (docs/methods/matter.md).
     momentum_error : float or None
-        Relative error of the momentum, for ``loss="truncated"``: collisions that lose more than 2.3 errors are seen as
-        tails and do not count (docs/methods/matter.md). None: that of a muon of 1 GeV/c by hits and scattering, at most
+        Expected sigma(p)/p of a track, for ``loss="truncated"``: collisions that lose more than 2.3 sigma(p) count as
+        tails, not as loss (docs/methods/matter.md). None: that of a muon of 1 GeV/c by hits and scattering, at most
         0.3 %, and of electrons that of their own momentum.
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung, cut as `loss` says like collisions
@@ -64,8 +64,8 @@ class FitSettings(SettingsData):
     matter : bool
         Whether tracks scatter and lose energy in the fit (not in BES3's MdcTrack).
     start_radius : float
-        Distance from the beam line, mm, at which the particles begin: the matter inside is not crossed, or twice after
-        a flight inward (negative value). A column `start_radius` of the candidates has precedence
+        Radius, mm, where the particle was born; the fit leaves out the matter inside it. Negative: it first flew inward
+        and crossed that matter twice. A column `start_radius` of the candidates has precedence
         (docs/methods/robustness.md).
     residuals : bool
         Whether the fit makes the residuals table: every hit against the track fitted without it.

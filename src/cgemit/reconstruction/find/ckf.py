@@ -69,8 +69,9 @@ class FindSettings(SettingsData):
         Layers of axial wires and X clusters that a seed of the chamber needs; without axial wires, layers of each sign
         of the stereo angle.
     min_score : float
-        Least logarithm of the likelihood ratio of a track to foreign hits, beyond 2.5 for each hit and 4 for tracks of
-        fewer than six hits (in a detector of three CGEM layers alone, beyond 0).
+        Threshold of the score of a track, the logarithm of its likelihood ratio to foreign hits. Higher: fewer fakes,
+        lower efficiency. A track of n hits needs `min_score` + 2.5 n, and 4 more if n < 6 (in a detector of three CGEM
+        layers alone, `min_score`).
     max_seeds : int
         Most seeds that are followed in an event, of each source, the best first.
     annealing : bool
