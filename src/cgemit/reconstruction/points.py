@@ -30,7 +30,8 @@ EFFICIENCY = 0.97
 GATE = 5.0
 #: What a cluster of another track costs: one in 20 holds the charge of two particles of an event.
 SHARED = 3.0
-#: mm. A track whose crossing is known worse keeps its clusters as they were found.
+#: mm. A track whose crossing is known worse keeps its clusters as they were found, and clusters with larger errors,
+#: such as single strips near the threshold at the end of a layer, measure nothing.
 WORST = 20.0
 #: Growth of chi-square by which a fit without the layer has found another track.
 WORSE = 1.0
@@ -158,7 +159,7 @@ def _choices(
             away, err = clusters[name][of_view] - predicted[view], clusters[f"err_{name}"][of_view]
             # A crossing has its cluster at a density of its own; foreign ones of the event are all over the sheet.
             gain = math.log(EFFICIENCY / (1 - EFFICIENCY)) - math.log(max(len(of_view), 1) / width)
-            inside = np.abs(away) < GATE * np.sqrt(cov[view, view] + err**2)
+            inside = (np.abs(away) < GATE * np.sqrt(cov[view, view] + err**2)) & (err < WORST)
             rows_here = zip(of_view[inside].tolist(), away[inside].tolist(), err[inside].tolist(), strict=True)
             near.append([(row, gain, one, sigma) for row, one, sigma in rows_here])
         for row, gain, distance, sigma in near[0]:

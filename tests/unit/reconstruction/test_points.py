@@ -82,6 +82,14 @@ def test_a_far_cluster_leaves_and_its_partner_stays(run):
     assert np.count_nonzero((hits["view"] == 1) & (layer == 0)) < 0.2 * N  # noise near the track instead
 
 
+def test_clusters_that_measure_nothing_are_on_no_track(run):
+    """V of L2 with an error of 300 mm, such as single strips have that may have lost most of their charge."""
+    clusters = run.clusters
+    of_l2 = (clusters["layer"] == 1) & (clusters["view"] == 1)
+    hits = settled(run, clusters.with_columns(err_v=np.where(of_l2, 300.0, clusters["err_v"])))
+    assert not of_l2[hits["hit"][hits["view"] == 1]].any()
+
+
 def test_twins_are_ambiguous():
     """A V cluster 0.1 mm beside that of the track is as likely: whichever is taken is marked."""
     run = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=0.3), n=1, seed=2, readout="tiger")
