@@ -12,6 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import cast
 
 from cgemit.base.errors import did_you_mean, reason
@@ -124,16 +125,21 @@ def _run(argv: list[str]) -> int:
     except SystemExit as stop:  # --help, --version, or arguments that argparse has complained about
         return int(stop.code or OK)
     except KeyboardInterrupt:
-        return _interrupted()
+        return _interrupted(arguments)
     except Exception as error:
         if _comes_from_interrupt(error):
-            return _interrupted()
+            return _interrupted(arguments)
         code = BAD_INPUT if isinstance(error, _OF_INPUT) else RUN_FAILED
         return _report(error, code, getattr(arguments, "debug", False))
 
 
-def _interrupted() -> int:
-    say("cgemit: interrupted", sys.stderr)
+def _interrupted(arguments: argparse.Namespace) -> int:
+    """Say what an interrupted command leaves, and how to go on."""
+    folder = getattr(arguments, "output", None) if getattr(arguments, "command", "") in ("sweep", "optimize") else None
+    more = ""
+    if folder and Path(folder).is_dir():
+        more = f"; {folder} keeps what is complete, and the same command (without --overwrite) continues"
+    say(f"cgemit: interrupted{more}", sys.stderr)
     return INTERRUPTED
 
 

@@ -203,6 +203,22 @@ def test_an_interruption_that_became_another_error_has_exit_code_130(monkeypatch
     assert capsys.readouterr().err == "cgemit: interrupted\n"
 
 
+def test_an_interrupted_sweep_says_how_to_go_on(monkeypatch, capsys, tmp_path):
+    """Other commands keep nothing, and say nothing of it."""
+
+    def stop(arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cgemit.cli.sweep.run", stop)
+    monkeypatch.setattr("cgemit.cli.simulate.run", stop)
+    assert main(["sweep", "plan.toml", "-o", str(tmp_path)]) == 130
+    expected = f"{tmp_path} keeps what is complete, and the same command (without --overwrite) continues"
+    assert capsys.readouterr().err == f"cgemit: interrupted; {expected}\n"
+    assert main(["sweep", "plan.toml", "-o", str(tmp_path / "none")]) == 130
+    assert main(["simulate", "-d", "besiii-cgem", "--p", "1", "-o", str(tmp_path)]) == 130
+    assert capsys.readouterr().err == "cgemit: interrupted\n" * 2
+
+
 @pytest.mark.parametrize(
     ("closed", "words", "code"),
     [(1, ["detectors"], 0), (2, ["validate", "absent.toml"], 2), (2, ["slab", "Cu 1 mm", "--p", "1", "-n", "1000"], 0)],
