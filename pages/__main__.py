@@ -36,6 +36,7 @@ from pages import (
     real_events,
     robustness,
     settings,
+    toys,
     track_fit,
     vertex,
 )
@@ -58,6 +59,7 @@ PAGES: dict[str, Page] = {
         foils.PAGE,
         mismatch.PAGE,
         alignment.PAGE,
+        toys.PAGE,
         background.PAGE,
         vertex.PAGE,
         digitize.PAGE,

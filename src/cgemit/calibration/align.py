@@ -77,7 +77,7 @@ class Alignment(Determined):
         Of the last iteration.
     history : tuple of Iteration
     improvement : float
-        Chi-square that the first iteration gains with its step.
+        Chi-square that the constants gain over the description, with the tracks of the last iteration.
     p_value : float
         Probability of that much if the description were right.
     converged : bool
@@ -126,7 +126,7 @@ class Alignment(Determined):
         return f"{title} from {last.tracks} tracks, {len(self.history)} iterations", head, rows
 
     def note(self) -> str:
-        """Return what is not determined, and what the first step gains."""
+        """Return what is not determined, and what the constants gain."""
         lines = [f"chi-square gained {self.improvement:.1f}, p-value {self.p_value:.3g}"]
         if self.zero_modes:
             lines.append(f"the data do not determine: {', '.join(self.zero_modes)}")
@@ -211,9 +211,9 @@ def align(
     given = list(runs) if isinstance(runs, Sequence) else [runs]
     before, sources = sources_of(given, detector, fit, reference)
     free, fixed, priors = plan_of(before, settings)
-    total, history, improvement = np.zeros(len(free)), list[Iteration](), 0.0
+    total, history = np.zeros(len(free)), list[Iteration]()
     low, high = _limits(before, free)
-    now, converged, first, zero, unseen = before, False, 0.0, tuple[str, ...](), tuple[str, ...]()
+    now, converged, zero, unseen = before, False, tuple[str, ...](), tuple[str, ...]()
     with pool_of(Workers(threads=threads)) as pool:
         for turn in range(settings.iterations):
             pull = settings.outlier_pull[min(turn, len(settings.outlier_pull) - 1)]
@@ -230,13 +230,10 @@ def align(
             if turn == 0:
                 unseen = tuple(one.name for one, seen in zip(free, sums.measured, strict=True) if seen == 0)
             zero = (*zero, *(name for name in solution.zero_modes if name not in zero))
-            wanted = np.clip(total + solution.value, low, high)
+            wanted = np.where(solution.determined, np.clip(total + solution.value, low, high), 0.0)
             step, total = wanted - total, wanted
             with np.errstate(invalid="ignore", divide="ignore"):
                 moved = np.nan_to_num(np.abs(step) / solution.err).max(initial=0.0)
-            if turn == 0:
-                improvement = float(solution.value @ solution.information @ solution.value)
-                first = float(np.count_nonzero(solution.determined))
             history.append(Iteration(sums.tracks, sums.hits, sums.pairs, sums.left_out, sums.chi2, float(moved), pull))
             values = {one.name: float(value) for one, value in zip(free, total, strict=True) if value != 0}
             now = before.with_alignment(values)
@@ -250,10 +247,12 @@ def align(
     def residuals(described: Detector) -> Mapping[str, tuple[float, float]]:
         return residual_means(described, tables_of(sources[0], described), sources[0].fit)
 
-    at_limits = tuple(one.name for one, value, a, b in zip(free, total, low, high, strict=True) if value in (a, b))
+    at_end = solution.determined & ((total == low) | (total == high))
+    at_limits = tuple(one.name for one, end in zip(free, at_end, strict=True) if end)
+    improvement = float(total @ solution.information @ total)
     result = Alignment(
         solution.table(total, fixed), now, before, replace(solution, value=total), tuple(history), improvement,
-        _survival(improvement, first), converged, at_limits,
+        _survival(improvement, float(np.count_nonzero(solution.determined))), converged, at_limits,
         (residuals(before), residuals(now)),
     )  # fmt: skip
     if not converged or at_limits:

@@ -217,6 +217,22 @@ def test_tracks_that_do_not_belong_together_are_left_out() -> None:
     assert np.nanmax(np.abs(found.compare(real)[across])) < 4
 
 
+def test_constants_that_lose_their_tracks_stay_as_described() -> None:
+    """All muons come from 20 mm beside the beam line: only the first iteration, without a cut, joins them to it."""
+    muons = resonance(60)
+    muons["x"] = np.where(muons["pdg"] < 0, 20.0, 0.0)
+    run = cg.run(NOMINAL, muons, seed=9)
+    settings = cg.AlignmentSettings(free=EVERYTHING, fixed=TILTS, pairs=("vertex", "beam_line"), iterations=4)
+    found = cg.align(run, settings)
+    assert found.history[0].pairs > 50
+    assert found.history[-1].left_out > 50
+    assert {"common shift_x", "common shift_y"} <= set(found.zero_modes)
+    assert found.detector.drift_chamber is not None
+    assert found.detector.drift_chamber.shift_y == 0
+    assert found.at_limits == ()
+    assert found.p_value > 1e-4
+
+
 def test_a_mass_tells_the_scale_of_the_field() -> None:
     """Pairs of muons of the mass of a resonance; the description has a field that is 0.5 % too weak."""
     wrong = NOMINAL.with_alignment({"field.scale": -5e-3})
