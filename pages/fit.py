@@ -20,7 +20,6 @@ from matplotlib.axes import Axes
 from scipy.stats import chi2, kstest
 
 import cgemit as cg
-from cgemit import _core
 from cgemit.analysis.quantities import QUANTITIES as SYMBOLS
 from cgemit.analysis.widths import measure
 from cgemit.base.arrays import Floats
@@ -369,14 +368,13 @@ def _optima(result: Result, some: int, *, pulls: bool = False) -> list[tuple[Flo
     hits = collect_hits(result.detector, result.candidates, result.candidate_hits, result.clusters, result.wire_hits)
     fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     columns = ("kind", "layer", "channel", "sigma")
-    cut = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
     found = []
     for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
         with contextlib.suppress(TurnsBackError):  # where its neighbours reach other matter
-            found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, cut, pulls=pulls)))
+            found.append((fitted[track], optimum(result.detector, seen, fitted[track], mass, pulls=pulls)))
     return found
 
 

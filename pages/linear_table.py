@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 import cgemit as cg
-from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.detector import Slab
 from cgemit.detector.readouts import GaussianReadout
@@ -46,7 +45,6 @@ GAUSSIAN: dict[str, Any] = {
     "readout": READOUT,
     "settings": cg.Settings(simulate=SimulateSettings(fluctuations="gaussian", decays=False), digitize=SIDES),
 }
-CUT = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
 _PIPE = 0.00982
 _SIGMA = {X: 0.1387, V: 0.1327, WIRE: 0.13}
 _MUON = 0.1056583755
@@ -64,7 +62,7 @@ class HighlandSlab(LosslessSlab):
     """Matter of the table: a share `part` of a total in radiation lengths, without loss."""
 
     def __init__(self, slab: Slab, part: float, total: float) -> None:
-        super().__init__(slab, 0.0, 0.0, CUT)
+        super().__init__(slab, 0.0, 0.0, 0.0)
         self.part, self.total = part, total
 
     def angle(self, p: float, after: float, mass: float, path: float) -> float:
@@ -74,19 +72,19 @@ class HighlandSlab(LosslessSlab):
         return float(13.6e-3 / (p * np.sqrt(beta2)) * np.sqrt(self.part * path) * logarithm)
 
 
-def table_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
+def table_stack(detector: cg.Detector, tanl: float, error: float) -> list[TracedSlab]:
     """Return the matter of the table, which has a pipe of its own."""
-    found = [traced.slab for traced in stack_of(detector, tanl, cut)]
+    found = [traced.slab for traced in stack_of(detector, tanl, error)]
     pipe = sum(slab.x0 for slab in found if slab.shells[0].group == "pipe")
     parts = [slab.x0 * (_PIPE / pipe if slab.shells[0].group == "pipe" else 1) for slab in found]
     total = float(np.hypot(1, tanl)) * sum(parts)
     return [HighlandSlab(slab, part, total) for slab, part in zip(found, parts, strict=True)]
 
 
-def lossless_stack(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
+def lossless_stack(detector: cg.Detector, tanl: float, error: float) -> list[TracedSlab]:
     """Return the matter of the fit without energy loss."""
-    found = stack_of(detector, tanl, cut)
-    return [LosslessSlab(one.slab, one.whole_xi, one.acting_chi_c2, cut) for one in found]
+    found = stack_of(detector, tanl, error)
+    return [LosslessSlab(one.slab, one.whole_xi, one.acting_chi_c2, error, by_hits=one.by_hits) for one in found]
 
 
 SIMULATED = "simulated, 20 000 tracks"
@@ -140,7 +138,7 @@ def expected(
         hits = hits_of(result, track, one_a_layer)
         helix = np.array([result.tracks[name][track] for name in PARAMETERS])
         helix[[0, 2, 3, 4]] = 0.0, -1 / p, 0.0, 0.0
-        sigma = errors(helix, optimum(detector, hits, helix, _MUON, CUT, matter=matter).cov)
+        sigma = errors(helix, optimum(detector, hits, helix, _MUON, matter=matter).cov)
         found.append([1000 * sigma["dr"], sigma["dz"], 1000 * sigma["p"]])
         cells += sum(hit.kind == WIRE for hit in hits)
     return np.mean(found, axis=0), cells / tracks

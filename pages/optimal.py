@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 import cgemit as cg
+from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.detector import Slab, slabs
 from cgemit.detector.layers import CgemLayer
@@ -28,6 +29,7 @@ ELECTRON = 0.51099895e-3  # GeV
 FINE_STRUCTURE = 1 / 137.035999084
 BETHE = 0.307075e-3  # GeV cm2/mol
 X, V, WIRE = 0, 1, 2
+SIGMAS = 2.4  # losses count below so many standard deviations of the energy
 _THICK = 5e-3  # mm, sideways shifts at 1 GeV/c below this are neither simulated nor fitted
 
 
@@ -174,15 +176,18 @@ class TracedSlab:
     """Matter at one radius, and what it does to a track.
 
     On the track all matter has the sum xi, each slab's times the share of its losses that the fit does not see, and the
-    matter that acts with the slab has chi_c^2. The cut of the loss is scaled by `per_unseen`.
+    matter that acts with the slab has chi_c^2. Of the parameters that it acts on, hits have `by_hits` (p beta)^2 times
+    the variance of scattering. The cut of the loss is that for an `error` of the momentum, scaled by `per_unseen`.
     """
 
     def __init__(
-        self, slab: Slab, whole_xi: float, acting_chi_c2: float, cut: tuple[float, float], per_unseen: float = 1.0
-    ) -> None:
+        self, slab: Slab, whole_xi: float, acting_chi_c2: float, error: float, per_unseen: float = 1.0,
+        by_hits: float = 0.0,
+    ) -> None:  # fmt: skip
         self.slab, self.radius, self.gap, self.spread = slab, slab.radius, slab.gap, slab.spread
         self.half_length = max(shell.ends[1] for shell in slab.shells)
-        self.whole_xi, self.acting_chi_c2, self.cut, self.per_unseen = whole_xi, acting_chi_c2, cut, per_unseen
+        self.whole_xi, self.acting_chi_c2, self.error, self.per_unseen = whole_xi, acting_chi_c2, error, per_unseen
+        self.by_hits = by_hits
         self.shifts = slab.spread * 13.6e-3 * np.sqrt(slab.x0) > _THICK
         self.sigma = np.zeros(5)
 
@@ -209,8 +214,8 @@ class TracedSlab:
         """Mean (PDG 2024, eq. 34.11) and root of the variance of collisions below the cut, GeV."""
         beta2 = p * p / (p * p + mass * mass)
         w_max, xi = _w_max(p, mass), self.slab.xi * path / beta2
-        multiple, share = self.cut
-        cut = np.minimum((multiple * self.whole_xi / beta2 + share * p * np.sqrt(beta2)) * self.per_unseen, w_max)
+        below, resolved = SIGMAS**2 * self.whole_xi / beta2, SIGMAS * self.error * p * np.sqrt(beta2)
+        cut = np.minimum(0.5 * (below + np.sqrt(below**2 + 4 * resolved**2)) * self.per_unseen, w_max)
         bracket = np.log(2 * ELECTRON * (p / mass) ** 2 * cut) - beta2 * (1 + cut / w_max)
         bracket = bracket + self.slab.log_term(np.log(p / mass))
         return xi * bracket, np.sqrt(xi * cut * (1 - beta2 * cut / w_max / 2))
@@ -218,7 +223,7 @@ class TracedSlab:
     def angle(self, p: float, after: float, mass: float, path: float) -> float:
         """Plane angle: Lynch and Dahl, Nucl. Instrum. Methods B 58 (1991) 6, F = 0.98, with the matter that acts."""
         beta2, beta2_after = (q * q / (q * q + mass * mass) for q in (p, after))
-        end = self.acting_chi_c2 / beta2 / (2 * (1 - 0.98))
+        end = self.acting_chi_c2 * (1 / beta2 + self.by_hits * p * p) / (2 * (1 - 0.98))
         recoil = 2 * ELECTRON * float(_w_max(np.array([p]), mass)[0])
         total = 0.0
         for z, chi_c2, electrons in _elements(self.slab):
@@ -245,10 +250,10 @@ def _elements(slab: Slab) -> list[tuple[float, float, float]]:
     return found
 
 
-def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> list[TracedSlab]:
+def stack_of(detector: cg.Detector, tanl: float, error: float) -> list[TracedSlab]:
     """The slabs of a detector, with the sums along a straight line from the origin.
 
-    `cut`: collisions count below this multiple of xi plus this share of p beta.
+    `error`: of the momentum without straggling, relative.
     """
     found, crossed = slabs(detector), []
     for slab in found:
@@ -265,12 +270,19 @@ def stack_of(detector: cg.Detector, tanl: float, cut: tuple[float, float]) -> li
     own = [stretch * sum(row[1] for row in _elements(slab)) for slab in found]
     acting = np.maximum(np.minimum(stretch * compact.acting, chi_c2), own)
     return [
-        TracedSlab(slab, xi, float(one), cut, float(scale))
-        for slab, one, scale in zip(found, acting, per_unseen, strict=True)
+        TracedSlab(slab, xi, float(one), error, float(scale), float(hits))
+        for slab, one, scale, hits in zip(found, acting, per_unseen, compact.by_hits, strict=True)
     ]
 
 
-Stack = Callable[[cg.Detector, float, tuple[float, float]], list[TracedSlab]]
+Stack = Callable[[cg.Detector, float, float], list[TracedSlab]]
+
+
+def error_of(detector: cg.Detector, helix: Floats, mass: float) -> float:
+    """The relative error of the momentum that the fit counts losses for."""
+    p = float(np.hypot(1, helix[4]) / abs(helix[2]))
+    return _core.matter.momentum_error(tuned(detector), p=p, mass=mass, tanl=float(helix[4]))
+
 
 #: What the optimum is worked out for: the helix parameters, and p.
 QUANTITIES = (*PARAMETERS, "p")
@@ -312,12 +324,11 @@ class _Track:
     hits: Sequence[Hit]
     helix: Floats
     mass: float
-    cut: tuple[float, float]
     matter: Stack
 
     def stack(self) -> list[TracedSlab]:
         """Return the matter that it meets."""
-        return self.matter(self.detector, self.helix[4], self.cut)
+        return self.matter(self.detector, self.helix[4], error_of(self.detector, self.helix, self.mass))
 
 
 @dataclass(frozen=True)
@@ -342,7 +353,6 @@ def optimum(
     hits: Sequence[Hit],
     helix: npt.ArrayLike,
     mass: float,
-    cut: tuple[float, float],
     *,
     pulls: bool = False,
     matter: Stack = stack_of,
@@ -358,17 +368,14 @@ def optimum(
         mm, rad, (GeV/c)^-1; about which it is linearised.
     mass : float
         GeV.
-    cut : (float, float)
-        Collisions that count for mean and variance of the loss transfer less than this multiple of the track's xi plus
-        this share of p beta.
     pulls : bool
         Whether the mean of the pulls is worked out, which takes ten times as long.
     matter : callable
-        Makes the slabs that the track meets from detector, tan(lambda) and `cut`.
+        Makes the slabs that the track meets from detector, tan(lambda) and the error of the momentum.
     """
     helix = np.asarray(helix, np.float64)
     hits = [replace(hit, about=float(helix[1]) + np.pi / 2) for hit in hits]  # its direction at the origin
-    track = _Track(detector, hits, helix, mass, cut, matter)
+    track = _Track(detector, hits, helix, mass, matter)
     found = _linear(track)
     sigma, axes = np.sqrt(np.diag(found.cov)), np.linalg.cholesky(found.cov)
     by_estimate = _curved(track, found, axes, np.zeros((len(found.noise), 5)))
@@ -379,19 +386,17 @@ def optimum(
     return Optimum(found.cov, bias, linear_bias, pull)
 
 
-def unseen(
-    detector: cg.Detector, hits: Sequence[Hit], helix: npt.ArrayLike, mass: float, cut: tuple[float, float]
-) -> Floats:
+def unseen(detector: cg.Detector, hits: Sequence[Hit], helix: npt.ArrayLike, mass: float) -> Floats:
     """Return how much the optimal estimate of kappa changes by a loss in each slab, over the change of kappa there.
 
     Parameters
     ----------
-    detector, hits, helix, mass, cut
+    detector, hits, helix, mass
         As of `optimum`.
     """
     helix = np.asarray(helix, np.float64)
     hits = [replace(hit, about=float(helix[1]) + np.pi / 2) for hit in hits]
-    track = _Track(detector, hits, helix, mass, cut, stack_of)
+    track = _Track(detector, hits, helix, mass, stack_of)
     found = _linear(track)
     p = float(np.hypot(1, helix[4]) / abs(helix[2]))
     shares = np.zeros(len(track.stack()))

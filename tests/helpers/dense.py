@@ -11,6 +11,8 @@ from cgemit.reconstruction.fit import FitSettings
 from tracks import MUON, hits_of, on_helix, order_of_matter, transport
 
 PRIOR = np.array(FitSettings().prior_sigma)
+#: Of momenta, for all tracks: rows are derivatives for a given error, which would otherwise follow the track.
+ERROR = 0.004
 # dr mm, phi0, kappa (GeV/c)^-1, dz mm, tanl
 HELICES = {
     "1 GeV/c": (0.1, 0.7, -1.0, 3.0, 0.1),
@@ -24,7 +26,7 @@ HELICES = {
 def smeared_track(name, which, seed=3):
     """Return detector, core, true helix and smeared hits of a scattered track."""
     detector = load(name)
-    core, helix = tuned(detector), np.array(HELICES[which])
+    core, helix = tuned(detector, momentum_error=ERROR), np.array(HELICES[which])
     hits = hits_of(detector, transport(core, on_helix(helix), "gaussian", seed))
     rng = np.random.default_rng(seed)
     noise = hits["sigma"] * rng.normal(size=len(hits["kind"]))

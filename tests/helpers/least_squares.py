@@ -73,12 +73,17 @@ class Fit:
         self.chi_c2 = 0.157e-6 * z * (z + 1) * grams / a / (p * self.beta) ** 2
         self.chi_a2 = 2.007e-11 * z ** (2 / 3) * (1 + 3.34 * (z / 137.036 / self.beta) ** 2) / p**2
 
-    def covariance(self, acting):
-        """Return the covariance at the origin; `acting`: (chi_c p beta)^2 of the matter that acts with a row, GeV2."""
-        return self._solved(acting)[0]
+    def covariance(self, acting, by_hits):
+        """Return the covariance at the origin.
 
-    def _solved(self, acting):
+        `acting`: (chi_c p beta)^2 of the matter that acts with a row, GeV2; `by_hits`: variance by hits over that by
+        scattering, over (p beta)^2.
+        """
+        return self._solved(acting, by_hits)[0]
+
+    def _solved(self, acting, by_hits):
         """Return the covariance, and the part of each row in its diagonal."""
+        acting = acting * (1 + by_hits * (self.p * self.beta) ** 2)
         v = 0.5 * acting / (self.p * self.beta) ** 2 * self.path / self.chi_a2 / (1 - F)
         thetas2, variance = self.chi_c2 / (1 + F**2) * ((1 + v) / v * np.log1p(v) - 1), self.noise.copy()
         for theta2, (aside, up) in zip(thetas2, self.kicks, strict=True):
@@ -89,15 +94,20 @@ class Fit:
         return cov, ((self.kicks @ gain.T) ** 2).sum(axis=1) * thetas2[:, None]
 
     def acting(self):
-        """Return (chi_c p beta)^2 of the matter that acts with each row, GeV2, for a straight line across the beam.
+        """Return (chi_c p beta)^2 of the matter that acts with each row, GeV2, and what hits add, for `covariance`.
 
         For a parameter with the variance V by scattering, of which V_i is of row i, it is that of the row times V/V_i.
-        The mean of its logarithms over the parameters has the weights V_i/cov. It is at most that before the last row.
+        The mean of its logarithms over the parameters has the weights V_i/cov. It is at most that before the last row,
+        on a straight line across the beam. Hits add the mean of ln(cov/V).
         """
         own = self.chi_c2 * (self.p * self.beta) ** 2 / self.slant
-        cov, parts = self._solved(np.full(len(own), own.sum()))
+        cov, parts = self._solved(np.full(len(own), own.sum()), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             logs = np.where(parts > 0, np.log(parts.sum(axis=0) / parts), 0.0)
         weights = parts / np.diag(cov)
         mean = (weights * logs).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-300)
-        return np.clip(own * np.exp(mean), own, np.maximum(own, own[:-1].sum()))
+        more = (weights * np.log(np.diag(cov) / parts.sum(axis=0))).sum(axis=1) / np.maximum(
+            weights.sum(axis=1), 1e-300
+        )
+        together = np.clip(own * np.exp(mean), own, np.maximum(own, own[:-1].sum()))
+        return together, np.expm1(more) / (self.p * self.beta) ** 2

@@ -12,7 +12,7 @@ from cgemit import _core
 from cgemit.calibration.constants import Constant, columns_of, constants_of
 from cgemit.detector.layers.layer import PLACEMENT
 from cgemit.fit_matter import tuned
-from dense import PRIOR
+from dense import ERROR, PRIOR
 from tracks import MUON
 
 Floats = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ def rigid(detector: cg.Detector) -> tuple[Constant, ...]:
 
 
 def predictions(detector: cg.Detector, helix: Floats, hits: dict[str, Any], values: dict[str, float]) -> Floats:
-    moved = tuned(detector.with_alignment(values))
+    moved = tuned(detector.with_alignment(values), momentum_error=ERROR)
     return np.asarray(_core._testing.reference(moved, helix, MUON, hits)["predicted"])
 
 

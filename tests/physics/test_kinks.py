@@ -11,14 +11,12 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, kstest
 
 import cgemit as cg
-from cgemit import _core
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings
 from exact import exact
 from fields import HARMONIC
-from pages.optimal import Hit, Optimum, follow, optimum, stack_of
+from pages.optimal import Hit, Optimum, error_of, follow, optimum, stack_of
 from tracks import hits_of_result
 
-CUT = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
 GUN = cg.Gun("mu+", p=0.1, cos_theta=(-0.3, 0.3))
 
 
@@ -46,7 +44,7 @@ def hits_of(result: cg.Result, track: int) -> tuple[list[Hit], np.ndarray]:
 def optimal_estimate(result: cg.Result, track: int) -> Optimum:
     """Return what the optimal estimate of a track is, worked out without the fit."""
     mass = float(result.particles["mass"][track])
-    return optimum(result.detector, hits_of(result, track)[0], helices(result)[track], mass, CUT)
+    return optimum(result.detector, hits_of(result, track)[0], helices(result)[track], mass)
 
 
 def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
@@ -57,7 +55,7 @@ def best(result: cg.Result, track: int) -> tuple[np.ndarray, float]:
     hits, measured = hits_of(result, track)
     errors = np.array([hit.sigma for hit in hits])
     mass, helix = float(result.particles["mass"][track]), helices(result)[track]
-    stack = stack_of(result.detector, helix[4], CUT)
+    stack = stack_of(result.detector, helix[4], error_of(result.detector, helix, mass))
     follow(result.detector, hits, helix[:, None], mass, {}, stack)  # fills in the spreads
     noise = [(i, k, s.sigma[k]) for i, s in enumerate(stack) for k in range(5) if s.sigma[k] > 0]
     unit = np.sqrt(np.diag(result.tracks["cov"][track]))

@@ -23,6 +23,7 @@ from stats import assert_within
 from straggling import core, folded
 from tracks import MUON, hits_on
 
+SIGMAS = _core.matter.CORE_SIGMAS
 MOMENTA = (0.2, 0.3, 0.5, 0.7, 1.0, 2.0)
 
 
@@ -51,9 +52,10 @@ def measured(p: float) -> Measured:
     beta2 = p * p / (p * p + MUON**2)
     xi = _core.matter.total_matter(compact, 0.0)[1] / beta2
     error = math.sqrt(out["cov"][0, 2, 2] * beta2) * p * p / xi
+    own = _core.matter.momentum_error(compact, p=p, mass=MUON) * p * math.sqrt(beta2) / xi
     ratio, gamma = 0.51099895e-3 / MUON, math.hypot(1, p / MUON)
     w_max = 2 * 0.51099895e-3 * (p / MUON) ** 2 / (1 + 2 * gamma * ratio + ratio**2) / xi
-    cut = min(_core.matter.CORE_CUT_XI + _core.matter.CORE_CUT_SHARE * p * math.sqrt(beta2) / xi, w_max)
+    cut = min(0.5 * (SIGMAS**2 + math.sqrt(SIGMAS**4 + 4 * (SIGMAS * own) ** 2)), w_max)
     return Measured(w_max, cut, math.sqrt(error**2 - cut * (1 - beta2 * cut / w_max / 2)), beta2)
 
 
@@ -78,7 +80,7 @@ def test_other_cuts_miss_the_core() -> None:
     """Landau's width alone is too small an error, all collisions too large a one; the most probable loss is off."""
     for p in (0.3, 0.5):
         assert abs(off(p, math.exp(0.2))[0]) > 0.15
-        assert off(p, _core.matter.CORE_CUT_XI)[1] < -0.03
+        assert off(p, 5.0)[1] < -0.03
         assert off(p, math.inf)[1] > 0.08
 
 

@@ -20,7 +20,6 @@ from tracks import MUON, hits_on
 
 pytestmark = pytest.mark.slow
 
-CUT = (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE)
 POINTS = [(name, *point) for name, points in TABLE.items() for point in points]
 
 
@@ -44,7 +43,7 @@ def test_errors_are_optimal(name: str, p: float, cos_theta: float) -> None:
     Rows and noise of the fit leave out that the loss depends on how obliquely matter is met; the rest agrees to 1e-4.
     """
     detector, helix, found, hits = track(name, p, cos_theta)
-    best = optimum(detector, hits, helix, MUON, CUT).cov
+    best = optimum(detector, hits, helix, MUON).cov
     settings = FitSettings()
     out = _core.reconstruction.fit(
         tuned(detector), hit_offsets=np.array([0, len(hits)]), hits=found, mass=np.array([MUON]), start=helix[None],
@@ -66,17 +65,17 @@ def test_bias_is_the_same_at_the_edge_of_a_sheet() -> None:
     hits = [hit for hit in hits if hit.kind != WIRE]
     layer, edge = detector.cgem[2], detector.cgem[2].sheet_phi[hits[-1].channel]
     half_turn = np.arcsin(0.5 * layer.r_mid * helix[2] * detector.field.bz / RADIUS_PER_KAPPA)
-    expected = optimum(detector, hits, helix, MUON, CUT).bias
+    expected = optimum(detector, hits, helix, MUON).bias
     for beside in (-1e-3, 0.0):
         turned = helix.copy()
         turned[1] = edge + beside - 0.5 * np.pi + half_turn
-        np.testing.assert_allclose(optimum(detector, hits, turned, MUON, CUT).bias, expected, atol=1e-6)
+        np.testing.assert_allclose(optimum(detector, hits, turned, MUON).bias, expected, atol=1e-6)
 
 
 def of_the_table(name: str, p: float, cos_theta: float, matter: Stack) -> np.ndarray:
     """Return the optimum over the table's numbers, with one hit a layer."""
     detector, helix, _, hits = track(name, p, cos_theta)
-    found = errors(helix, optimum(detector, hits, helix, MUON, CUT, matter=matter).cov)
+    found = errors(helix, optimum(detector, hits, helix, MUON, matter=matter).cov)
     return np.array([1000 * found["dr"], found["dz"], 1000 * found["p"]]) / TABLE[name][p, cos_theta]
 
 
@@ -111,7 +110,7 @@ def test_gate_sees_wires_that_are_worse_than_believed() -> None:
     tracks = run(detector, Gun("mu-", p=1.0, cos_theta=0.0), 2000, seed=3, **exact()).tracks
     _, helix, _, hits = track("besiii-cgem-design", 1.0, 0.0)
     wrong = [Hit(hit.kind, hit.layer, hit.channel, 0.16 if hit.kind == WIRE else hit.sigma) for hit in hits]
-    expected = errors(helix, optimum(detector, wrong, helix, MUON, CUT).cov)["p"]
+    expected = errors(helix, optimum(detector, wrong, helix, MUON).cov)["p"]
     assert tracks["res_p"].std() < 0.9 * expected
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import cgemit as cg
-from cgemit import _core
 from cgemit.detector import slabs
 from cgemit.fit_matter import tuned
 from cores import core_of
@@ -54,7 +53,7 @@ def test_shares_are_those_of_the_optimal_estimate(name: str) -> None:
     found = hits_on(detector, helix)
     sigma = np.array([0.1387, 0.1327, 0.13])[found["kind"]]
     hits = [Hit(*(int(found[key][i]) for key in ("kind", "layer", "channel")), sigma[i]) for i in range(len(sigma))]
-    best = unseen(detector, hits, helix, MUON, (_core.matter.CORE_CUT_XI, _core.matter.CORE_CUT_SHARE))
+    best = unseen(detector, hits, helix, MUON)
     shares = tuned(detector).unseen
     assert shares.shape == (len(slabs(detector)),)
     np.testing.assert_allclose(shares, np.abs(best), atol=0.03)

@@ -17,6 +17,7 @@ import cgemit as cg
 from borders import Call, changed, compiled_names, deaths, entries, of_another_type, recorded
 from cgemit import _core
 from cgemit.detector import compiled
+from cgemit.fit_matter import momentum_error
 from cgemit.particles.species import compiled_decays
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster_errors import chip_delays, expected_errors
@@ -54,6 +55,8 @@ def calls() -> dict[str, list[Call]]:
         cg.run(detector.with_field("besiii"), gun, 2, workers=1)
         cg.analytic(DESIGN, "mu-", p=[0.2, 1.0])
         cg.analytic(DESIGN, "mu-", p=1.0, radius=100.0)
+        cg.analytic(DESIGN, "e-", p=1.0).losses()
+        momentum_error(detector, "mu-", 1.0)
         cg.slab("Kapton 300 um", "pi-", p=0.5, n=1000)
         cg.extrapolate(DESIGN, result.tracks, 100.0)
         particle_rows(result.particles, result.truths)

@@ -5,10 +5,10 @@ from typing import Final
 from cgemit._core._arrays import _Columns
 from cgemit._core.detector import Detector
 
-# Collisions that transfer less than this many times the xi of the track plus this share of p beta make the fit's loss.
-CORE_CUT_XI: Final[float]
-CORE_CUT_SHARE: Final[float]
-USUAL_MOMENTUM_ERROR: Final[float]  # relative, of which CORE_CUT_SHARE is
+# The fit counts losses below this many standard deviations of the energy, of heavy particles and electrons.
+CORE_SIGMAS: Final[float]
+LIGHT_CORE_SIGMAS: Final[float]
+USUAL_MOMENTUM_ERROR: Final[float]  # relative, where none is known
 
 class Screening(enum.IntEnum):
     wentzel = 0
@@ -37,3 +37,7 @@ def scattering_angle(
 def restricted_loss(
     detector: Detector, slab: int, *, path: float, p: float, mass: float, charge: float = 1.0, cut: float
 ) -> float: ...
+
+# Of particles from the origin: relative error of p without straggling; largest unseen loss of the core over p.
+def momentum_error(detector: Detector, *, p: float, mass: float, charge: float = 1.0, tanl: float = 0.0) -> float: ...
+def light_cut(detector: Detector, *, p: float, mass: float, charge: float, tanl: float = 0.0) -> float: ...

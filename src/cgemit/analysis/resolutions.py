@@ -62,7 +62,7 @@ def resolution(tracks: Table | Result, parameter: str, *, window: tuple[float, f
     >>> result = cg.run("besiii-cgem-design", cg.Gun("mu-", p=1.0, cos_theta=(-0.9, 0.9)), n=500, seed=1)
     >>> found = cg.resolution(result, "dr")
     >>> found.unit, round(found.core), round(found.core_error), found.n
-    ('um', 198, 8, 500)
+    ('um', 198, 7, 500)
     """
     known, columns = quantity_of(parameter, "parameter"), track_columns(tracks)
     return _measure(known, columns, known.residual(columns), known.name, known.unit, window)
@@ -498,7 +498,7 @@ def fit_form(
     >>> muons = cg.analytic("besiii-cgem-design", p=[0.3, 0.5, 1.0, 2.0])
     >>> found = cg.study.fit_form("dr", muons.p, muons.sigma("dr"))
     >>> print(found.formula, round(found.a), round(found.b), found.b_unit)
-    sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta) 134 82 um GeV/c
+    sigma(d_rho) = a (+) b/(p beta sin^{3/2} theta) 137 82 um GeV/c
     """
     x, y = np.asarray(p, np.float64), np.asarray(sigma, np.float64)
     weight = y if error is None else np.asarray(error, np.float64)

@@ -198,10 +198,10 @@ def analytic(
     >>> muons = cg.analytic("besiii-cgem-design", "mu-", p=[0.3, 1.0])
     >>> muons
     <besiii-cgem-design, mu-, readout binary
-      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 306.4 um, sigma(d_z) 0.4306 mm, sigma(p) 0.8436 MeV/c
-      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 167.2 um, sigma(d_z) 0.2831 mm, sigma(p) 4.672 MeV/c>
+      p 0.3 GeV/c, cos(theta) 0: sigma(d_rho) 306.9 um, sigma(d_z) 0.4313 mm, sigma(p) 0.8321 MeV/c
+      p 1 GeV/c, cos(theta) 0: sigma(d_rho) 169.8 um, sigma(d_z) 0.2852 mm, sigma(p) 4.775 MeV/c>
     >>> print(muons.sigma("dr").round(), muons.sigma("p").round(2))  # um, MeV/c
-    [306. 167.] [0.84 4.67]
+    [307. 170.] [0.83 4.78]
     """
     detector, fit = load(detector), _FIT if fit is None else FitSettings.of(fit, "fit")
     if threads is not None and not is_whole(threads, 1, 2**15):

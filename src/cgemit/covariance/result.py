@@ -17,10 +17,9 @@ from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.covariance.losses import Losses
 from cgemit.covariance.tracks import Points, Sample, Tracks, core_width, mean, status_of
-from cgemit.detector import SCREENINGS, Detector
+from cgemit.detector import Detector
 from cgemit.detector.inventory import part_of
 from cgemit.detector.matter import slabs
-from cgemit.fit_matter import unseen_cut
 from cgemit.reconstruction.fit import compiled_for_fit
 from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown, data_frame
@@ -392,8 +391,10 @@ def losses_of(tracks: Tracks, resolution: Covariance) -> Losses:
         core.with_shared_loss(row, p=float(p[i]), mass=float(mass[i]), tanl=float(slope[i])).unseen
         for i, row in enumerate(by_slab)
     ]
-    assumed = (resolution.detector, fit.screening or SCREENINGS[0], True, fit.momentum_error)
-    cut = [unseen_cut(*assumed, float(one), float(tanl)) for one, tanl in zip(p, slope, strict=True)]
+    cut = [
+        _core.matter.light_cut(core, p=float(p[i]), mass=float(mass[i]), charge=float(charge[i]), tanl=float(slope[i]))
+        for i in range(len(p))
+    ]
     straggling = [kappa.sources[number] for number in straggles]
     return Losses(
         resolution.detector.name, resolution.particle, float(charge[0]),
@@ -508,7 +509,7 @@ class Covariance:
         Examples
         --------
         >>> cg.analytic("besiii-cgem-design", p=[0.3, 1.0]).sigma("d_rho").round()
-        array([306., 167.])
+        array([307., 170.])
         """
         return core_width(self.variances(quantity).reshape(-1, self._tracks.samples)).reshape(self.p.shape)
 

@@ -223,8 +223,8 @@ def sensitivity(
     >>> cg.sensitivity("besiii-cgem-design", p=1.0, keys=["cgem.L1.pitch_x", "field.bz"])
     besiii-cgem-design, mu-, p 1 GeV/c, cos(theta) 0
     1 % more of      sigma(dr) [%]  sigma(dz) [%]  sigma(p) [%]
-    field.bz                -0.082         -0.070        -0.998
-    cgem.L1.pitch_x         +0.292         +0.012        +0.034
+    field.bz                -0.082         -0.069        -1.000
+    cgem.L1.pitch_x         +0.294         +0.012        +0.033
     """
     detector = load(detector)
     base = analytic(detector, particle, p, cos_theta, **how)

@@ -17,7 +17,7 @@ from cgemit.base.settings import SettingsData
 from cgemit.base.validate import Check, Momentum, Positive, Quantity, Whole
 from cgemit.detector import SCREENINGS, Detector, Screening, load, slabs
 from cgemit.detector.channels import checked
-from cgemit.fit_matter import tuned, with_hits_of
+from cgemit.fit_matter import tuned
 from cgemit.particles.species import HYPOTHESES, Hypothesis, species
 from cgemit.reconstruction.candidates import FitHits, collect_hits
 from cgemit.reconstruction.states import USUAL_MOMENTUM, SurfaceName, state_columns
@@ -55,9 +55,8 @@ class FitSettings(SettingsData):
         Energy loss that is subtracted: ``"truncated"`` for the core of a momentum measurement, ``"mean"`` of all
         collisions, or Landau's ``"most_probable"`` one (docs/methods/matter.md).
     momentum_error : float or None
-        Expected sigma(p)/p of a track, for ``loss="truncated"``: collisions that lose more than 2.3 sigma(p) count as
-        tails, not as loss (docs/methods/matter.md). None: that of a muon of 1 GeV/c by hits and scattering, at most
-        0.3 %, and of electrons that of their own momentum.
+        Expected sigma(p)/p of a track by hits and scattering, for ``loss="truncated"``: losses of more than 2.4
+        sigma(p), 2.6 of electrons, count as tails (docs/methods/matter.md). None: that of each track.
     radiation : bool
         Whether the energy loss of electrons and positrons includes bremsstrahlung, cut as `loss` says like collisions
         (docs/methods/matter.md).
@@ -403,19 +402,17 @@ def compiled_for_fit(
     detector : Detector
     settings : FitSettings
     full : Detector or None
-        Of which this one is a variant with the same hits (`with_hits_of`).
+        Of which this one is a variant with the same hits (`hits_of` of `tuned`).
     """
-    core = compiled_matter(detector, settings)
-    if full is not None and settings.matter:
-        core = with_hits_of(compiled_matter(full, settings), core, detector.layers)
+    core = compiled_matter(detector, settings, full)
     return core.beginning_at(settings.start_radius) if settings.start_radius else core
 
 
-def compiled_matter(detector: Detector, settings: FitSettings) -> _core.detector.Detector:
+def compiled_matter(detector: Detector, settings: FitSettings, full: Detector | None = None) -> _core.detector.Detector:
     """Return the compiled detector with the matter that the fit assumes for tracks from the beam line."""
     return tuned(
         detector, settings.screening or SCREENINGS[0], settings.loss, settings.radiation, matter=settings.matter,
-        momentum_error=settings.momentum_error,
+        momentum_error=settings.momentum_error, hits_of=full,
     )  # fmt: skip
 
 

@@ -661,7 +661,7 @@ class AnalyticScan(ScanBase):
     --------
     >>> lines = cg.study.scan_analytic("besiii-cgem-design", [0.3, 1.0])
     >>> print(lines.at("dr").round(), lines.at("p").round(2))  # um, MeV/c
-    [399. 194.] [0.95 4.55]
+    [399. 197.] [0.95 4.68]
     """
 
     covariance: Covariance
@@ -795,7 +795,7 @@ def scan_analytic(
     --------
     >>> lines = cg.study.scan_analytic("besiii-cgem-design", [0.3, 1.0])
     >>> lines.at("dr").round()  # um
-    array([399., 194.])
+    array([399., 197.])
     """
     start = time.perf_counter()
     check_numbers("scan", seed, threads)

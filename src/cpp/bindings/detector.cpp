@@ -31,6 +31,25 @@ using namespace cgemit::bindings;
 
 namespace {
 
+// A table of errors, (tanl, p_T).
+MomentumErrors momentum_errors(const py::dict& table) {
+  const auto copied = [&](const char* name, py::ssize_t size) {
+    const auto values = take<double>(table, name);
+    const auto all = column(values, name, size);
+    return std::vector<double>(all.begin(), all.end());
+  };
+  MomentumErrors errors(usual_momentum_error);
+  errors.log_first = table["log_first"].cast<double>();
+  errors.step = table["step"].cast<double>();
+  errors.tanl = copied("tanl", -1);
+  errors.hits = copied("hits", -1);
+  errors.scattered = copied("scattered", static_cast<py::ssize_t>(errors.hits.size()));
+  if (errors.tanl.size() < 2 || errors.hits.size() % errors.tanl.size() != 0 ||
+      errors.hits.size() < 2 * errors.tanl.size() || !(errors.step > 0))
+    throw std::invalid_argument("errors: expected a grid of two or more momenta and angles");
+  return errors;
+}
+
 // Holes with the slab that has them.
 struct HoleRow {
   std::int32_t slab;
@@ -164,7 +183,7 @@ void bind_detector(py::module_& module) {
                  make_detector(field ? *field : uniform_field(bz), std::move(made), std::move(layers),
                                std::move(chamber.layers), std::move(matter));
              prepare_scattering(detector, screening, simulated);
-             prepare_loss(detector, CoreLoss::truncated, true, MomentumError(usual_momentum_error));
+             prepare_loss(detector, CoreLoss::truncated, true, usual_momentum_error);
              return detector;
            }),
            py::kw_only(), py::arg("bz"), py::arg("slabs"), py::arg("log_terms"), py::arg("composition"),
@@ -176,43 +195,46 @@ void bind_detector(py::module_& module) {
            "twice if the radius is negative.")
       .def(
           "with_loss",
-          [](Detector detector, CoreLoss loss, bool radiation, double momentum_error,
-             const std::optional<std::array<double, 2>>& light_error) {
-            MomentumError error(momentum_error);
-            if (light_error) {
-              error.measured = (*light_error)[0];
-              error.scattered = (*light_error)[1];
-            }
+          [](Detector detector, CoreLoss loss, bool radiation, double momentum_error) {
             Problems problems;
             Part part(problems, "loss");
             part.within("momentum_error", momentum_error, 0, 1);
-            part.within("light_error", error.measured, 0, HUGE_VAL);
-            part.within("light_error", error.scattered, 0, HUGE_VAL);
             problems.raise("detector");
-            prepare_loss(detector, loss, radiation, error);
+            prepare_loss(detector, loss, radiation, momentum_error);
             return detector;
           },
           py::kw_only(), py::arg("loss"), py::arg("radiation"), py::arg("momentum_error"),
-          py::arg("light_error") = py::none(),
-          "The detector with another energy loss that the fit subtracts, for relative errors of the "
-          "momentum; "
-          "`light_error` is that of electrons by hits, per GeV/c, and by scattering.")
+          "The detector with another energy loss that the fit subtracts, for a relative error of all "
+          "momenta.")
+      .def(
+          "with_errors",
+          [](Detector detector, const py::dict& errors) {
+            detector.errors = momentum_errors(errors);
+            return detector;
+          },
+          py::arg("errors"),
+          "The detector with a table of relative errors of the momentum: `log_first` and `step` of "
+          "ln(p_T/(GeV/c)), tan(lambda) (`tanl`), and (tanl, p_T) errors by hits over p_T (`hits`) and by "
+          "scattering times beta (`scattered`).")
       .def(
           "with_shared_scattering",
-          [](Detector detector, const Array<double>& parts, const Array<double>& variances) {
+          [](Detector detector, const Array<double>& parts, const Array<double>& variances,
+             const Array<double>& hits, double p, double mass) {
             const auto n = static_cast<py::ssize_t>(detector.slabs.size());
             const auto columns = matrix(parts, "parts", n, 5);
             std::vector<std::array<double, 5>> rows(detector.slabs.size());
             for (std::size_t i = 0; i < rows.size(); ++i)
               std::ranges::copy(columns.subspan(5 * i, 5), rows[i].begin());
-            std::array<double, 5> whole{};
+            std::array<double, 5> whole{}, measured{};
             std::ranges::copy(column(variances, "variances", 5), whole.begin());
-            share_scattering(detector, rows, whole);
+            std::ranges::copy(column(hits, "hits", 5), measured.begin());
+            share_scattering(detector, rows, whole, measured, particle(p, mass, 1.0));
             return detector;
           },
-          py::kw_only(), py::arg("parts"), py::arg("variances"),
+          py::kw_only(), py::arg("parts"), py::arg("variances"), py::arg("hits"), py::arg("p"),
+          py::arg("mass"),
           "The detector with the matter that acts with each slab, from the variances of the parameters of "
-          "one track and the parts of each slab's scatters in them.")
+          "one track, the parts of each slab's scatters in them, and those of its hits.")
       .def(
           "with_shared_loss",
           [](Detector detector, const Array<double>& variances, double p, double mass, double tanl) {
@@ -244,12 +266,24 @@ void bind_detector(py::module_& module) {
       .def_readonly("field", &Detector::field)
       .def(
           "with_acting",
-          [](Detector detector, const Array<double>& acting) {
-            const auto values = column(acting, "acting", static_cast<py::ssize_t>(detector.slabs.size()));
+          [](Detector detector, const Array<double>& acting, const std::optional<Array<double>>& by_hits) {
+            const auto n = static_cast<py::ssize_t>(detector.slabs.size());
+            const auto values = column(acting, "acting", n);
             for (std::size_t i = 0; i < detector.slabs.size(); ++i) detector.slabs[i].acting = values[i];
+            if (!by_hits) return detector;
+            const auto ratios = column(*by_hits, "by_hits", n);
+            for (std::size_t i = 0; i < detector.slabs.size(); ++i) detector.slabs[i].by_hits = ratios[i];
             return detector;
           },
-          py::arg("acting"), "The detector with other matter that acts with its slabs, GeV^2.")
+          py::arg("acting"), py::arg("by_hits") = py::none(),
+          "The detector with other matter that acts with its slabs, GeV^2, and other variances by hits over "
+          "those by scattering, (GeV/c)^-2.")
+      .def_property_readonly("by_hits",
+                             [](const Detector& d) {
+                               std::vector<double> by_hits;
+                               for (const Slab& slab : d.slabs) by_hits.push_back(slab.by_hits);
+                               return to_numpy(std::move(by_hits));
+                             })
       .def_property_readonly("acting",
                              [](const Detector& d) {
                                std::vector<double> acting;
@@ -259,14 +293,13 @@ void bind_detector(py::module_& module) {
       .def(
           "untuned",
           [](Detector detector) {
-            double last = detector.layers.empty() && detector.wires.empty() ? HUGE_VAL : 0;  // that measures
-            for (const MeasuringLayer& layer : detector.layers) last = std::max(last, layer.r_readout);
-            for (const WireLayer& layer : detector.wires) last = std::max(last, std::sqrt(layer.waist));
+            const double last = last_measurement(detector);
             double before = 0;
             for (const Slab& slab : detector.slabs)
               if (slab.radius < last) before += slab.chi_c2;
             for (Slab& slab : detector.slabs) {
               slab.acting = slab.radius < last ? before : HUGE_VAL;
+              slab.by_hits = 0;
               set_unseen(slab, slab.radius < last ? 1 : 0);
             }
             return detector;
@@ -286,6 +319,8 @@ void bind_detector(py::module_& module) {
                                for (const Slab& slab : d.slabs) unseen.push_back(slab.unseen);
                                return to_numpy(std::move(unseen));
                              })
+      .def_property_readonly("last_measurement", &last_measurement)
+      .def_property_readonly("has_equal_ends", &has_equal_ends)
       .def_property_readonly("slope_through_most", &slope_through_most)
       .def_property_readonly("n_slabs", [](const Detector& d) { return d.slabs.size(); })
       .def_property_readonly("n_layers", [](const Detector& d) { return d.layers.size(); })

@@ -75,9 +75,27 @@ void bind_models(py::module_& module) {
 }
 
 void bind_matter(py::module_& module) {
-  module.attr("CORE_CUT_XI") = core_cut_xi;
+  module.attr("CORE_SIGMAS") = core_sigmas;
+  module.attr("LIGHT_CORE_SIGMAS") = light_core_sigmas;
   module.attr("USUAL_MOMENTUM_ERROR") = usual_momentum_error;
-  module.attr("CORE_CUT_SHARE") = core_cut_share(usual_momentum_error);
+  module.def(
+      "momentum_error",
+      [](const Detector& detector, double p, double mass, double charge, double tanl) {
+        return track_matter(detector, tanl, particle(p, mass, charge)).error;
+      },
+      py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"), py::arg("charge") = 1.0,
+      py::arg("tanl") = 0.0,
+      "Relative error of the momentum without straggling that the fit counts losses for, of a particle from "
+      "the origin.");
+  module.def(
+      "light_cut",
+      [](const Detector& detector, double p, double mass, double charge, double tanl) {
+        const Kinematics start = particle(p, mass, charge);
+        return light_cut(start, track_matter(detector, tanl, start)) / p;
+      },
+      py::arg("detector"), py::kw_only(), py::arg("p"), py::arg("mass"), py::arg("charge"),
+      py::arg("tanl") = 0.0,
+      "Unseen loss above which the fit of an electron from the origin counts none, as a share of p.");
   module.def(
       "total_matter",
       [](const Detector& detector, double tanl) {
@@ -85,8 +103,8 @@ void bind_matter(py::module_& module) {
         return py::make_tuple(total.x0, total.xi, total.chi_c2);
       },
       py::arg("detector"), py::arg("tanl"),
-      "Radiation lengths, xi beta^2 (GeV) and (chi_c p beta)^2 (GeV^2) along a straight line from the "
-      "origin.");
+      "Unseen radiation lengths and xi beta^2 (GeV), and (chi_c p beta)^2 (GeV^2), along a straight line "
+      "from the origin.");
   module.def(
       "scattering_angle",
       [](const Detector& detector, int slab, double path, double p, double mass, double charge,

@@ -117,6 +117,7 @@ py::tuple loss_of_fit(const Detector& detector, int slab, double path, double p,
   TrackMatter track;
   track.xi = track_xi;
   track.loss = detector.loss;
+  track.error = detector.errors.constant;
   const LossMoments m = core_loss(slab_of(detector, slab), path, particle(p, mass, charge), track);
   return py::make_tuple(m.loss, m.variance, m.slope);
 }

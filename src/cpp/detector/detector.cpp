@@ -78,6 +78,19 @@ bool reopens(const std::vector<WireLayer>& wires, double radius) {
 
 }  // namespace
 
+double last_measurement(const Detector& detector) {
+  double last = detector.layers.empty() && detector.wires.empty() ? HUGE_VAL : 0;
+  for (const MeasuringLayer& layer : detector.layers) last = std::max(last, layer.r_readout);
+  for (const WireLayer& layer : detector.wires) last = std::max(last, std::sqrt(layer.waist));
+  return last;
+}
+
+bool has_equal_ends(const Detector& detector) {
+  const auto equal = [](const auto& part) { return part.ends.low == -part.ends.high; };
+  return std::ranges::all_of(detector.slabs, equal) && std::ranges::all_of(detector.layers, equal) &&
+         std::ranges::all_of(detector.wires, equal);
+}
+
 double slope_through_most(const Detector& detector) {
   std::vector<Ends> slopes;
   const auto add = [&slopes](const Ends& ends, double r) { slopes.push_back({ends.low / r, ends.high / r}); };

@@ -121,6 +121,9 @@ struct alignas(64) Slab {
 
   double acting = HUGE_VAL;  // GeV^2 at normal incidence, chi_c^2 of the matter that acts with this slab, its
                              // own included, times (p beta)^2; infinite: all (`share_scattering`)
+  // (GeV/c)^-2: of the parameters that scatters here move, the variance by hits over that by scattering, and
+  // over (p beta)^2 of a unit charge.
+  double by_hits = 0;
   // Of a loss here, the share that the fit takes for another kappa at the origin (`share_loss`): 1 before the
   // first hit, 0 behind the last. Its inverse scales the cut of the loss.
   double unseen = 1, per_unseen = 1, log_per_unseen = 0;
@@ -334,13 +337,26 @@ struct Surface {
   int index;      // into slabs or wires
 };
 
-// Cuts of the fit's energy loss (`matter/loss.hpp`). Mean and variance count transfers below these multiples
-// of the Landau xi of the track's unseen matter plus a share of p beta, over the slab's `unseen`.
+// Cut of the fit's energy loss (`matter/loss.hpp`), of unseen losses: the solution W of
+// W^2 = xi X W + sigmas2 S^2, with Landau's X of the track's unseen matter and the error S of the energy.
+struct LossCut {
+  double xi, sigmas2;
+};
 struct LossCuts {
-  double mean, variance;
-  double share;                                    // of heavy particles
-  double light_measured = 0, light_scattered = 0;  // of electrons: times p over the path, and its root
+  LossCut heavy, light;
+  double variance;       // cut of the variance over that of the mean
   double radiation = 1;  // share of the bremsstrahlung that counts: 1, or 0 without it
+};
+
+// Relative errors of momenta without straggling, S/(p beta) of a particle: by hits, per GeV/c of transverse
+// momentum over the charge, and by scattering, times beta. On a grid of transverse momenta over the charge
+// (GeV/c, each `step` above the last in ln) and of tan(lambda), momenta first; a grid from tan(lambda) = 0 on
+// holds for |tan(lambda)|. Without a grid, `constant` for all.
+struct MomentumErrors {
+  explicit MomentumErrors(double error) : constant(error) {}
+  double constant;
+  double log_first = 0, step = 0;
+  std::vector<double> tanl, hits, scattered;
 };
 
 struct Detector {
@@ -353,7 +369,14 @@ struct Detector {
   std::vector<Surface> surfaces;  // by radius
   std::vector<Extent> parts;      // by radius
   LossCuts loss;
+  MomentumErrors errors{0.0};
 };
+
+// Radius of the last surface that measures, mm; infinite without any.
+double last_measurement(const Detector& detector);
+
+// Whether all parts end equally far at both sides of z = 0.
+bool has_equal_ends(const Detector& detector);
 
 // tanl in the middle of the range where straight lines from the origin cross as many layers and layers of
 // wires as possible.

@@ -36,6 +36,7 @@ Detector beginning_at(const Detector& detector, double radius) {
   Detector begun =
       make_detector(detector.field, std::move(slabs), detector.layers, detector.wires, detector.gaps);
   begun.loss = detector.loss;
+  begun.errors = detector.errors;
   return begun;
 }
 

@@ -72,10 +72,8 @@ class Tracer {
         given_(matter.given),
         charge_(species.charge),
         now_(matter.of(start.kappa, charge_ * dip_.sec), species),
-        track_(total_matter(detector, start.tanl)),
-        observer_(observer) {
-    set_cut(track_, now_);
-  }
+        track_(track_matter(detector, start.tanl, now_)),
+        observer_(observer) {}
 
   // Traces the lanes `who`. What the group holds of the lanes `kept` stays as it is.
   void run(mask_of<T> who, mask_of<T> kept = mask_of<T>(false)) {

@@ -31,22 +31,47 @@ double light_bracket(const Slab& slab, const Kinematics& k, double limit) {
 
 }  // namespace
 
-void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, const MomentumError& error) {
-  constexpr double everything = 1e30, most_probable = 0.2, half_maximum = 4.018 / 2.3548;
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double momentum_error) {
+  constexpr double everything = 1e30, half_maximum = 4.018 / 2.3548;
+  static const double most_probable = std::exp(0.2);
+  const auto core = [](double sigmas) { return LossCut{sigmas * sigmas, sigmas * sigmas}; };
   LossCuts& cuts = detector.loss;
   switch (choice) {
     case CoreLoss::truncated:
-      cuts = {core_cut_xi, core_cut_xi, core_cut_share(error.heavy), core_cut_share(error.measured),
-              core_cut_share(error.scattered)};
+      cuts = {core(core_sigmas), core(light_core_sigmas), 1};
       break;
     case CoreLoss::mean:
-      cuts = {everything, everything, 0};
+      cuts = {{everything, 0}, {everything, 0}, 1};
       break;
     case CoreLoss::most_probable:
-      cuts = {std::exp(most_probable), half_maximum * half_maximum, 0};
+      cuts = {{most_probable, 0}, {most_probable, 0}, half_maximum * half_maximum / most_probable};
       break;
   }
   cuts.radiation = radiation ? 1 : 0;
+  detector.errors = MomentumErrors(momentum_error);
+}
+
+double momentum_error(const MomentumErrors& errors, double p, double charge, double beta, double tanl) {
+  constexpr double most = 0.1;  // larger errors hold all losses that heavy particles have
+  const std::size_t n_tanl = errors.tanl.size();
+  if (n_tanl == 0) return errors.constant;
+  const std::size_t n = errors.hits.size() / n_tanl;
+  const double pt = p / (charge * std::sqrt(1 + tanl * tanl));
+  const double slope = errors.tanl.front() < 0 ? tanl : std::abs(tanl);
+  if (!(pt > 0)) return errors.constant;  // a lane without a track
+  const double at =
+      std::clamp((std::log(pt) - errors.log_first) / errors.step, 0.0, static_cast<double>(n - 1));
+  const auto i = std::min(static_cast<std::size_t>(at), n - 2);
+  const auto next = std::ranges::upper_bound(errors.tanl, slope);
+  const auto j =
+      std::clamp<std::size_t>(static_cast<std::size_t>(next - errors.tanl.begin()), 1, n_tanl - 1) - 1;
+  const double u = at - static_cast<double>(i);
+  const double v = std::clamp((slope - errors.tanl[j]) / (errors.tanl[j + 1] - errors.tanl[j]), 0.0, 1.0);
+  const auto between = [&](const std::vector<double>& column) {
+    const double* here = column.data() + j * n + i;
+    return (1 - v) * (here[0] + u * (here[1] - here[0])) + v * (here[n] + u * (here[n + 1] - here[n]));
+  };
+  return std::min(std::hypot(between(errors.hits) * pt, between(errors.scattered) / beta), most);
 }
 
 void set_unseen(Slab& slab, double share) {
@@ -59,11 +84,7 @@ void set_unseen(Slab& slab, double share) {
 }
 
 void share_loss(Detector& detector, std::span<const double> variances, const Kinematics& start, double tanl) {
-  const TrackMatter track = [&] {
-    TrackMatter all = total_matter(detector, tanl);
-    set_cut(all, start);
-    return all;
-  }();
+  const TrackMatter track = track_matter(detector, tanl, start);
   const double sec = std::sqrt(1 + tanl * tanl), kappa = sec / start.p;
   const double w = curvature(detector.bz, kappa);
   // Slabs on one side of z = 0 may not be crossed: their like is the next slab that is.
@@ -113,25 +134,23 @@ double light_restricted_loss(const Slab& slab, double path, const Kinematics& k,
 }
 
 LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track) {
-  const double xi = slab.xi * path * k.charge2_per_beta2, track_xi = track.xi * k.charge2_per_beta2;
-  // The measured curvature bends in the transverse plane, scattering grows with the matter.
-  const double measured = track.loss.light_measured * k.p / track.path;
-  const double share = std::hypot(measured, track.loss.light_scattered * std::sqrt(track.path));
-  const double resolved = share * k.p / k.per_beta * slab.per_unseen;
-  const double resolved_growth = share > 0 ? resolved * (1 + measured * measured / (share * share)) : 0;
-  const double wanted = track.loss.mean * track_xi * slab.per_unseen + resolved,
-               wanted_variance = track.loss.variance * track_xi * slab.per_unseen + resolved;
+  const double xi = slab.xi * path * k.charge2_per_beta2;
+  const double unseen = light_cut(k, track), wanted = unseen * slab.per_unseen,
+               wanted_variance = track.loss.variance * wanted;
   const double cut = std::min(wanted, k.w_max()), hardest = std::min(wanted_variance, k.w_max());
   const double bracket = std::max(light_bracket(slab, k, cut), 0.0);
   // Photons are cut like collisions, but can take all energy.
   const double x0 = track.loss.radiation * slab.x0 * path;
   const double y = std::min(wanted / k.energy, 1.0), mean = radiated_mean(y);
   const double variance = radiated_variance(std::min(wanted_variance / k.energy, 1.0));
-  // Per ln(p) the bracket grows by 2, and by the growth of the cut; 1/beta^2 is nearly constant.
-  const double grow = 2 + (wanted < k.w_max() ? resolved_growth / cut : 0);
+  // Per ln(p) the bracket grows by 2, and by the growth of the cut, from its equation above; 1/beta^2 is
+  // nearly constant.
+  const double error = track.error * k.p / k.per_beta, resolved = track.loss.light.sigmas2 * error * error;
+  const double rate = unseen > 0 ? 2 * resolved / (resolved + light_rest(track) * unseen * unseen) : 0;
+  const double grow = 2 + (wanted < k.w_max() ? rate : 0);
   const double growth = wanted < k.energy ? radiated_growth(y) : 0;
   const double slope = xi * (grow + log_term(slab, k.log_bg).slope) / k.p +
-                       x0 * ((mean - y * growth) * k.p / k.energy + growth * resolved_growth / k.p);
+                       x0 * ((mean - y * growth) * k.p / k.energy + growth * wanted * rate / k.p);
   return {xi * bracket + x0 * k.energy * mean, xi * hardest + x0 * k.energy * k.energy * variance, slope};
 }
 

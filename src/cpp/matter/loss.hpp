@@ -50,27 +50,28 @@ using LossMoments = LossMomentsOf<double>;
 // so that the moments of slabs add up, and its spectrum is that of one slab with the weighted sum of xi. Slow
 // particles (cut above w_max) get Bethe's mean and Vavilov's variance. For electrons and positrons, mean and
 // variance of the photons below the cut are added.
-//   truncated      the core of what a momentum measurement sees (docs/methods/matter.md): its cut is 2.3
-//                  times the error of the energy, `momentum_error` of p beta, and 5 xi for Landau's own width
+//   truncated      the core of what a momentum measurement sees: unseen losses below some of its standard
+//                  deviations, straggling included (docs/methods/matter.md)
 //   mean           all collisions
 //   most_probable  Landau's most probable loss, and the Gaussian as wide as his distribution at half maximum,
 //                  4.018 xi; PDG 2024, eq. 34.12
 enum class CoreLoss { truncated, mean, most_probable };
-inline constexpr double core_cut_xi = 5, usual_momentum_error = 0.003;
-// Of p beta, for an error of the momentum.
-inline constexpr double core_cut_share(double momentum_error) { return 7 * momentum_error / 3; }
+// Standard deviations of the core: of heavy particles, whose losses fall as 1/W^2, and of electrons, whose
+// photons fall as 1/W.
+inline constexpr double core_sigmas = 2.4, light_core_sigmas = 2.6;
+inline constexpr double usual_momentum_error = 0.003;
 
-// Relative error of the momentum without straggling. Electrons take that at their own momentum: `measured` by
-// the hits, per GeV/c, and `scattered`, in quadrature.
-struct MomentumError {
-  double heavy, measured, scattered;
+// Sets the loss cuts of a detector, for one error of all momenta. Without `radiation`, electrons and
+// positrons lose energy in collisions only.
+void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, double momentum_error);
 
-  explicit MomentumError(double constant) : heavy(constant), measured(0), scattered(constant) {}
-};
+// Whether the fit of electrons takes losses below a cut for the core, and the others for tails.
+inline bool truncates_radiation(const Detector& detector) {
+  return detector.loss.radiation > 0 && detector.loss.light.sigmas2 > 0;
+}
 
-// Sets the loss cuts of a detector. Without `radiation`, electrons and positrons lose energy in collisions
-// only.
-void prepare_loss(Detector& detector, CoreLoss choice, bool radiation, const MomentumError& error);
+// Relative error without straggling of a particle with this momentum, GeV/c, and tan(lambda) at the origin.
+double momentum_error(const MomentumErrors& errors, double p, double charge, double beta, double tanl);
 
 void set_unseen(Slab& slab, double share);
 
@@ -83,19 +84,21 @@ LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, 
 // The cut of heavy particles, and the numbers that it is made of, GeV.
 template <class T>
 struct CoreCut {
-  T below, resolved;  // Landau's width and the resolution, as far as the fit does not see the loss
-  T wanted;           // their sum
-  T own, w_max;       // transfer in the slab that is unseen by so much; the largest transfer
-  T share;            // beta^2/w_max
-  T per_recoil;       // 1/(1 + 2 gamma m_e/m + (m_e/m)^2)
+  T below, resolved2, root;  // W = (below + root)/2, root^2 = below^2 + resolved2
+  T wanted;                  // W, of unseen losses
+  T own, w_max;              // transfer in the slab that is unseen by so much; the largest transfer
+  T share;                   // beta^2/w_max
+  T per_recoil;              // 1/(1 + 2 gamma m_e/m + (m_e/m)^2)
   T per_wanted;
   T value;
 
   CoreCut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track, double per_unseen)
-      : below(track.loss.mean * (track.xi * k.charge2_per_beta2)),
-        resolved(track.loss.share * k.p * k.beta2 * k.per_beta),
-        wanted(below + resolved),
-        own(wanted * per_unseen) {
+      : below(track.loss.heavy.xi * (track.xi * k.charge2_per_beta2)) {
+    const T error = track.error * (k.p * k.beta2 * k.per_beta);
+    resolved2 = (4 * track.loss.heavy.sigmas2) * (error * error);
+    root = sqrt(below * below + resolved2);
+    wanted = 0.5 * (below + root);
+    own = wanted * per_unseen;
     const T ratio = electron_mass * k.per_mass, recoil = 1.0 + 2.0 * k.gamma * ratio + ratio * ratio,
             bg = k.p * k.per_mass;
     const T per_both = 1.0 / (recoil * wanted);
@@ -107,13 +110,38 @@ struct CoreCut {
   }
 };
 
-// Stores the cut at the start of a track.
+// Variance of the core without photons over that with them: photons of t radiation lengths have the variance
+// t 2/3 W^2 below a cut W.
 template <class T>
-void set_cut(TrackMatterOf<T>& track, const KinematicsOf<T>& start) {
-  if (start.is_light()) return;
+T light_rest(const TrackMatterOf<T>& track) {
+  constexpr double least = 0.2;
+  return larger(1.0 - (2.0 / 3 * track.loss.light.sigmas2 * track.loss.radiation) * track.x0, least);
+}
+// The cut of the unseen losses of an electron, GeV.
+template <class T>
+T light_cut(const KinematicsOf<T>& k, const TrackMatterOf<T>& track) {
+  const T below = track.loss.light.xi * (track.xi * k.charge2_per_beta2), rest = light_rest(track);
+  const T error = track.error * (k.p * k.beta2 * k.per_beta);
+  return (below + sqrt(below * below + 4 * track.loss.light.sigmas2 * rest * error * error)) / (2.0 * rest);
+}
+
+// Matter and cut of a track, from its momentum at the origin.
+template <class T>
+TrackMatterOf<T> track_matter(const Detector& detector, const T& tanl, const KinematicsOf<T>& start) {
+  TrackMatterOf<T> track = total_matter(detector, tanl);
+  if (detector.errors.tanl.empty()) {
+    track.error = T(detector.errors.constant);
+  } else {
+    const T charge = sqrt(start.charge2), beta = start.beta();
+    track.error = gathered<T>([&](int i) {
+      return momentum_error(detector.errors, lane(start.p, i), lane(charge, i), lane(beta, i), lane(tanl, i));
+    });
+  }
+  if (start.is_light()) return track;
   track.cut = CoreCut<T>(start, track, 1.0).value;
   track.per_cut = 1.0 / track.cut;
   track.log_cut = log(track.cut);
+  return track;
 }
 
 template <class T>
@@ -133,14 +161,15 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
   // 2, beta^2 by 2 beta^2/gamma^2, p beta by 1 + 1/gamma^2; the cut follows 1/beta^2 and p beta, or w_max.
   const T per_gamma2 = 1.0 - k.beta2;
   const T grow_w_max = 2.0 - 2.0 * electron_mass * k.per_mass * k.gamma * k.beta2 * cut.per_recoil;
-  const T grow_wanted = ((1.0 + per_gamma2) * cut.resolved - 2.0 * per_gamma2 * cut.below) * cut.per_wanted;
+  const T both = cut.below + cut.below * cut.below / cut.root;
+  const T grow_wanted =
+      (0.5 * (1.0 + per_gamma2) * cut.resolved2 / cut.root - per_gamma2 * both) * cut.per_wanted;
   const T grow_cut = select(is_cut, grow_wanted, grow_w_max);
   const T grow_bracket =
       2.0 + grow_cut - 2.0 * k.beta2 * per_gamma2 - spin * (2.0 * per_gamma2 + grow_cut - grow_w_max);
   const T per_log_p = -2.0 * per_gamma2 * bracket + grow_bracket + term.slope;
   const T amount = select(bracket > 0.0, xi, T(0.0));
-  const T hardest = smaller(
-      (track.loss.variance * (track.xi * k.charge2_per_beta2) + cut.resolved) * slab.per_unseen, cut.w_max);
+  const T hardest = smaller(track.loss.variance * cut.own, cut.w_max);
   return {amount * bracket, amount * hardest * (1.0 - 0.5 * cut.share * hardest),
           amount * per_log_p * k.per_p};
 }
@@ -153,7 +182,7 @@ LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
   for (int i = 0; i < lanes_of<T>; ++i) {
     const Kinematics one(lane(k.p, i), {lane(k.mass, i), 1.0, k.projectile});
     TrackMatter matter{lane(track.x0, i), lane(track.xi, i), {}, track.loss};
-    matter.path = lane(track.path, i);
+    matter.error = lane(track.error, i);
     const LossMoments moments = light_core_loss(slab, lane(path, i), one, matter);
     set_lane(out.loss, i, moments.loss);
     set_lane(out.variance, i, moments.variance);

@@ -168,7 +168,8 @@ void prepare_scattering(Detector& detector, Screening screening, bool drawn) {
 }
 
 void share_scattering(Detector& detector, std::span<const std::array<double, 5>> parts,
-                      const std::array<double, 5>& variances) {
+                      const std::array<double, 5>& variances, const std::array<double, 5>& hits,
+                      const Kinematics& start) {
   // Radius of the last surface that measures, mm; without any, as for layers of matter alone, all matter
   // counts.
   double last = detector.layers.empty() && detector.wires.empty() ? HUGE_VAL : 0;
@@ -187,15 +188,17 @@ void share_scattering(Detector& detector, std::span<const std::array<double, 5>>
   }
   for (std::size_t i = 0; i < parts.size(); ++i) {
     Slab& slab = detector.slabs[i];
-    double weights = 0, logarithms = 0;
+    double weights = 0, logarithms = 0, more = 0;
     for (std::size_t k = 0; k < scattered.size(); ++k) {
       if (!(parts[i][k] > 0)) continue;
       const double weight = parts[i][k] / variances[k];
       weights += weight;
       logarithms += weight * std::log(scattered[k] / parts[i][k]);
+      more += weight * std::log1p(hits[k] / scattered[k]);
     }
-    if (weights > 0 && slab.radius < last)
-      slab.acting = std::min(before, slab.chi_c2 * std::exp(logarithms / weights));
+    if (!(weights > 0) || slab.radius >= last) continue;
+    slab.acting = std::min(before, slab.chi_c2 * std::exp(logarithms / weights));
+    slab.by_hits = std::expm1(more / weights) * start.charge2_per_beta2 * start.per_p * start.per_p;
   }
   for (std::size_t i = 0; i < parts.size(); ++i) {
     if (is_crossed(i) || !(detector.slabs[i].radius < last)) continue;
@@ -205,6 +208,7 @@ void share_scattering(Detector& detector, std::span<const std::array<double, 5>>
       if (off >= apart || !is_crossed(k) || detector.slabs[k].filler != detector.slabs[i].filler) continue;
       apart = off;
       detector.slabs[i].acting = detector.slabs[k].acting;
+      detector.slabs[i].by_hits = detector.slabs[k].by_hits;
     }
   }
 }

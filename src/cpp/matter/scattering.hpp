@@ -34,13 +34,18 @@ void prepare_scattering(Detector& detector, Screening screening, bool drawn);
 //   X_ik = chi_c,i^2 V_k/V_ik,
 // with the variance V_k of the parameter by scattering and the part V_ik of slab i. Where all weights are
 // equal, X_ik is all matter, however it is cut.
+//
+// Hits add the variance H_k to the parameter. Its core then holds scatters up to larger angles, as that of a
+// sum with the variance V_k + H_k: X_ik is larger by 1 + H_k/V_k, which grows with (p beta)^2.
 inline constexpr double core_fraction = 0.98;
 
 // Fills in `Slab::acting` from the mean of ln X_ik over the parameters, each with the slab's part in its
-// whole variance as weight; at most the matter before the last surface that measures. `parts`: V_ik for all
-// slabs, `variances`: of the parameters, by scattering and hits.
+// whole variance as weight; at most the matter before the last surface that measures. `Slab::by_hits` follows
+// from the same mean of ln(1 + H_k/V_k). `parts`: V_ik for all slabs, `variances`: of the parameters,
+// `hits`: H_k, all of a particle of this momentum.
 void share_scattering(Detector& detector, std::span<const std::array<double, 5>> parts,
-                      const std::array<double, 5>& variances);
+                      const std::array<double, 5>& variances, const std::array<double, 5>& hits,
+                      const Kinematics& start);
 
 // Variance of the plane angle. 1/(p beta) is the geometric mean of the values before and after the slab.
 template <class T>
@@ -49,7 +54,7 @@ T scattering_variance(const Slab& slab, T path, const KinematicsOf<T>& before, c
   const T screening = read<&SlabPoint::log_screening>(slab, before.log_bg_of_unit_charge()).value;
   constexpr double cut_scale = 0.5 / (1 - core_fraction);  // q_F^2 = cut_scale chi_c^2 p^2
   const T acting = larger(smaller(slab.acting * track.path, track.chi_c2), slab.chi_c2 * track.path);
-  const T cut = cut_scale * acting * before.charge2_per_beta2;
+  const T cut = cut_scale * acting * (before.charge2_per_beta2 + slab.by_hits * (before.p * before.p));
   T sum = slab.chi_c2 * (log(cut) - screening - 1.0);
   // Electrons recoil with at most 2 m_e W_max; where this is below the cut, it limits their part of the core.
   const T recoil = 2 * electron_mass * before.w_max();

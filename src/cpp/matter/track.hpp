@@ -23,14 +23,15 @@ inline constexpr double least_kinetic = 0.1 * MeV;
 // Sums over all slabs, along the track.
 template <class T>
 struct TrackMatterOf {
-  T x0{0.0};      // radiation lengths
+  T x0{0.0};      // radiation lengths, each slab's times its `unseen`
   T xi{0.0};      // GeV, Landau's xi times beta^2, each slab's times its `unseen`
   T chi_c2{0.0};  // GeV^2, chi_c^2 times (p beta)^2
   LossCuts loss{};
   // A cut of the loss on this track, GeV, its inverse and its logarithm: the logarithms of the cuts elsewhere
   // on the track follow by a series.
   T cut{1.0}, per_cut{1.0}, log_cut{0.0};
-  T path{1.0};  // over that at normal incidence
+  T error{0.0};  // of the momentum without straggling, relative
+  T path{1.0};   // over that at normal incidence
 };
 using TrackMatter = TrackMatterOf<double>;
 
@@ -46,7 +47,7 @@ TrackMatterOf<T> total_matter(const Detector& detector, T tanl) {
       met = chamber & met;
       if (!slab.reopens) chamber = chamber & (abs(z) < slab.ends.ahead(tanl));
     }
-    total.x0 += select(met, T(slab.x0), 0.0);
+    total.x0 += select(met, T(slab.x0 * slab.unseen), 0.0);
     total.xi += select(met, T(slab.xi * slab.unseen), 0.0);
     total.chi_c2 += select(met, T(slab.chi_c2), 0.0);
     inside = inside & (chamber | slab.slopes_beyond.hold(tanl));

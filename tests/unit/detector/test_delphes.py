@@ -346,7 +346,7 @@ def assert_as_least_squares(detector, text, p, cos_theta, bz):
     """To 1 %, kappa without straggling."""
     rows = rows_by_radius(text)
     acting = Fit(rows, 1.0, 0.0, bz).acting()
-    expected = np.sqrt(np.diag(Fit(rows, p, cos_theta, bz).covariance(acting)))
+    expected = np.sqrt(np.diag(Fit(rows, p, cos_theta, bz).covariance(*acting)))
     result = cg.analytic(detector, "mu-", p=p, cos_theta=cos_theta, phi=0.3, fit=MOLIERE)
     found = np.sqrt(np.diag(result.cov))
     np.testing.assert_allclose(found[[0, 1, 3, 4]], expected[[0, 1, 3, 4]], rtol=0.01)
@@ -389,7 +389,7 @@ def test_rows_that_touch_and_overlap_are_in_the_resolutions(tmp_path, p):
     with_all = assert_as_least_squares(detector, text, p, 0.0, 2.0)
     supports = ("BESIDE", "SHELL", "TOUCH", " 0.000557 ")
     rows = rows_by_radius("\n".join(line for line in text.splitlines() if not any(one in line for one in supports)))
-    without = np.sqrt(np.diag(Fit(rows, p, 0.0, 2.0).covariance(Fit(rows, 1.0, 0.0, 2.0).acting())))
+    without = np.sqrt(np.diag(Fit(rows, p, 0.0, 2.0).covariance(*Fit(rows, 1.0, 0.0, 2.0).acting())))
     assert with_all[0] / without[0] > 1.02
 
 

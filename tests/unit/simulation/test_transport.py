@@ -204,18 +204,14 @@ def test_wire_truths_are_closest_points():
 
 
 def test_field_and_charge_mirror():
-    """Reversed field and charge give the same crossings, reversed field alone the mirrored ones.
-
-    Up to the cut of the energy loss: it follows from the errors of a muon, which meets the wires of the reversed field
-    on other sides.
-    """
+    """Reversed field and charge give the same crossings, reversed field alone the mirrored ones."""
     other = DESIGN.with_overrides({"field.bz": "1 T"})
     momentum = np.array([0.5, 0.2, 0.3])
     plain = simulate(DESIGN, particles([0.0, 0, 0], momentum, 13), OFF)["truths"]
     both = simulate(other, particles([0.0, 0, 0], momentum, -13), OFF)["truths"]
     mirrored = simulate(other, particles([0.0, 0, 0], momentum * [1, -1, 1], 13), OFF)["truths"]
     for name in ("phi", "z", "px", "py", "pz", "time", "energy"):
-        np.testing.assert_allclose(both[name], plain[name], rtol=1e-4 if name == "energy" else 1e-8)
+        np.testing.assert_allclose(both[name], plain[name], rtol=1e-12)
         np.testing.assert_allclose(mirrored[name], both[name] * (-1 if name in ("phi", "py") else 1), rtol=1e-12)
 
 
@@ -739,7 +735,8 @@ def write_small_map(folder, detector):
 def test_tracks_that_leave_the_map_have_a_status(tmp_path, detector):
     small = detector.with_field(write_small_map(tmp_path, detector))
     table = gun(n=100, vertex=5.0)
-    out, whole = (transport(tuned(det), table) for det in (small, detector))
+    # In the map muons have fewer hits, so that the fit would assume another loss.
+    out, whole = (transport(tuned(det, momentum_error=0.003), table) for det in (small, detector))
     assert (out["status"] == TransportStatus.left_field).sum() > 90
     assert set(out["status"]) <= {TransportStatus.left_field, TransportStatus.curled, TransportStatus.end}
     assert np.hypot(out["wire_truths"]["x"], out["wire_truths"]["y"]).max() < 400.1

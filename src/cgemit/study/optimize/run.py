@@ -129,8 +129,8 @@ def optimize(
     >>> best
     besiii-cgem-design, readout binary, gradient: 16 designs, 7 gradients; converged in 6 steps
     design  cgem.L2.anode_radius (mm)  sigma_dr (um)
-    base                        132.5         223.58
-    16                         122.41         220.82
+    base                        132.5         224.67
+    16                         122.41         221.95
     """
     problems = Problems()
     start = load(base)

@@ -85,7 +85,7 @@ class Sweep(TidyResult):
     >>> variants, evaluation = {"cgem.*.pitch_x": ["400 um"]}, {"p": 1.0, "quantities": ["dr"]}
     >>> swept = cg.study.sweep("besiii-cgem-design", variants, evaluation)
     >>> [round(sigma) for sigma in swept.columns["sigma_dr (um)"]], swept.detector(1).cgem["L1"].pitch_x
-    ([167, 132], 0.4)
+    ([170, 134], 0.4)
     """
 
     columns: dict[str, list[Any]]

@@ -314,9 +314,9 @@ def sweep(
     >>> cg.study.sweep("besiii-cgem-design", {"cgem.*.pitch_x": ["400 um", "500 um"]}, evaluation)
     besiii-cgem-design: 2 variants, 3 rows
     variant  status  cgem.*.pitch_x (um)  p (GeV/c)  cos_theta  sigma_dr (um)  sigma_p (MeV/c)  reached  tracks
-          0  ok                      650          1          0         167.17           4.6716        1  ok
-          1  ok                      400          1          0         132.42           4.3965        1  ok
-          2  ok                      500          1          0         148.39           4.5155        1  ok
+          0  ok                      650          1          0         169.79           4.7752        1  ok
+          1  ok                      400          1          0         134.45           4.4971        1  ok
+          2  ok                      500          1          0          150.7           4.6184        1  ok
     """
     wrong = Problems()
     evaluation: Any = evaluation_of(evaluate, wrong)

@@ -12,8 +12,7 @@ Perigee trace_back(const Detector& detector, const Perigee& helix, double radius
   double arc = 0;
   if (!step_to_cylinder(at, radius, arc)) return helix;
   Kinematics now(species.charge * sec_lambda / std::abs(helix.kappa), species);
-  TrackMatter track = total_matter(detector, at.tanl);
-  set_cut(track, now);
+  const TrackMatter track = track_matter(detector, at.tanl, now);
   for (std::size_t i = detector.slabs.size(); i-- > 0;) {
     const Slab& slab = detector.slabs[i];
     if (slab.radius >= at.radius()) continue;

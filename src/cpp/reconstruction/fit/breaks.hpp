@@ -254,8 +254,7 @@ class Breaks {
 
   // Whether tracks of this kind have a density of their own: others are as good as normal.
   static bool apply(const Detector& detector, Projectile projectile) {
-    return projectile >= Projectile::electron && detector.loss.mean == core_cut_xi &&
-           detector.loss.radiation > 0 && !is_straight(detector.bz);
+    return projectile >= Projectile::electron && truncates_radiation(detector) && !is_straight(detector.bz);
   }
 
   // Collects what the hits tell of losses, after the filter. `beam`: measurements before the hits; `helix`:
@@ -304,11 +303,11 @@ class Breaks {
   }
 
   // Keeps what `look` found for the lanes `who`, in which the fit ends. `variance`: of ln(p) by the filter.
-  void keep(mask_of<T> who, const T& variance, const T& tanl) {
+  void keep(mask_of<T> who, const T& variance, const T& tanl, const SpeciesOf<T>& species) {
     for (std::size_t i = 0; i < radiators_.size(); ++i) kept_[i].take(who, radiators_[i]);
-    const TrackMatterOf<T> track = total_matter(detector_, tanl);
     resolved_ = select(who, larger(variance - straggling_, 0.01 * variance), resolved_);
-    cut_ = select(who, cut_of(track), cut_);
+    const KinematicsOf<T> start(1.0 / per_energy_, species);
+    cut_ = select(who, light_cut(start, track_matter(detector_, tanl, start)) * per_energy_, cut_);
   }
 
   // The density of the momentum of the lanes that were kept.
@@ -384,13 +383,6 @@ class Breaks {
     one.add(x0, x0, slab.xi * per_energy_ * path, unseen, dot(u, lambda), dot(u, information * u),
             slab.per_unseen);
     one.radius = r;
-  }
-
-  // The fit subtracts the mean of the losses below this share of the energy, times `Radiator::scale`.
-  T cut_of(const TrackMatterOf<T>& track) const {
-    const T measured = track.loss.light_measured / (per_energy_ * track.path),
-            scattered = track.loss.light_scattered * sqrt(track.path);
-    return track.loss.mean * track.xi * per_energy_ + sqrt(measured * measured + scattered * scattered);
   }
 
   // Bins of the loss of ln(p) that the fit does not see, each as many times wider than the one before.
@@ -498,6 +490,8 @@ class Breaks {
   std::vector<Radiator<T>> radiators_, kept_;
   T per_energy_, sec_;
   T straggling_;  // variance of ln(p) that the fit takes for losses
+  // The variance of ln(p) without losses; the fit subtracts the mean of the losses below this share of the
+  // energy, times `Radiator::scale`.
   T resolved_{1.0}, cut_{1.0};
   std::array<T, bins + 1> per_edge_;  // one over the share of the momentum
   std::array<HypothesisMoments<T>, bins> hidden_, shown_;

@@ -417,7 +417,7 @@ class GroupFit {
     who = who & !matter_.given & (variance < most_error * most_error);
     if (!any(who)) return;
     breaks_.look(group_, beam(), helix_, charge_sec() * abs(per_kappa));
-    breaks_.keep(who, variance, helix_.tanl);
+    breaks_.keep(who, variance, helix_.tanl, species_);
     weighed_ = weighed_ | who;
   }
 

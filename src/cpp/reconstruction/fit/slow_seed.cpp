@@ -26,7 +26,7 @@ Perigee before_loss(const Detector& detector, const Perigee& helix, double radiu
   const double sec_lambda = std::sqrt(1 + helix.tanl * helix.tanl);
   Kinematics now(species.charge * sec_lambda / std::abs(helix.kappa), species);
   if (now.is_light() || now.p > now.mass) return helix;
-  const TrackMatter track = total_matter(detector, helix.tanl);
+  const TrackMatter track = track_matter(detector, helix.tanl, now);
   const double per_kappa = curvature(detector.bz, 1.0);
   HelixPoint point = closest_point(helix, per_kappa);
   double kappa = helix.kappa, arc = 0;

@@ -7,6 +7,14 @@ namespace cgemit {
 
 namespace {
 
+// `matter_p`: momentum in matter, GeV/c; 0: that of the helix.
+PropagationContext context_of(const Detector& detector, const Perigee& helix, double mass, double charge,
+                              double matter_p) {
+  const double of_helix = charge * std::sqrt(1 + helix.tanl * helix.tanl) / std::abs(helix.kappa);
+  const Kinematics start(matter_p > 0 ? matter_p : of_helix, species_of(mass, charge, helix.kappa));
+  return {mass, charge, track_matter(detector, helix.tanl, start), LocalMotion(detector)};
+}
+
 class States {
  public:
   States(const Detector& detector, const FittedTrack& track, StateSpace& space)
@@ -15,8 +23,7 @@ class States {
         trajectory_(space.trajectory),
         inward_(space.inward),
         smoothed_(space.smoothed),
-        context_{track.mass, track.charge, total_matter(detector, track.reference.tanl),
-                 LocalMotion(detector)} {
+        context_(context_of(detector, track.reference, track.mass, track.charge, track.matter_p)) {
     follow(detector, track.reference, species_of(track.mass, track.charge, track.reference.kappa),
            track.matter_p, track.hits, track.kinks, trajectory_);
     for (const Station& station : trajectory_.stations) {
@@ -190,8 +197,7 @@ void fitted_states(const Detector& detector, const FittedTrack& track, std::span
 
 StateStatus extrapolate(const Detector& detector, LocalState& state, double mass, double charge,
                         double radius, double from, double to) {
-  const PropagationContext context{mass, charge, total_matter(detector, state.helix.tanl),
-                                   LocalMotion(detector)};
+  const PropagationContext context = context_of(detector, state.helix, mass, charge, state.matter_p);
   const StateStatus begun = context.motion.to_track(state);
   if (begun != StateStatus::ok) return begun;
   const double start = std::hypot(state.x, state.y);

@@ -48,7 +48,7 @@ class Flight {
     const T pt = start_.column([&](std::size_t row) { return std::hypot(in.px[row], in.py[row]); });
     helix() = {of(in.x), of(in.y), of(in.z), of(in.px) / pt, of(in.py) / pt, of(in.pz) / pt, T(0.0)};
     motion_.look(point_);
-    if (settings.fluctuations != Fluctuations::full) track_ = total_matter(detector, point_.tanl);
+    if (settings.fluctuations != Fluctuations::full) track_ = track_matter(detector, point_.tanl, now_);
     motion_.bend(point_, charge_ / pt, used);
     follow_dip(Mask(true));
     const T radius = point_.radius();
