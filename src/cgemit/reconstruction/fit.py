@@ -379,11 +379,11 @@ def fit_columns(
     return FittedColumns(core, hits, candidate, pdg, mass, charge, radii, out)
 
 
-def _start(time: npt.ArrayLike | None, n: int) -> Floats:
+def _start(helices: npt.ArrayLike | None, n: int) -> Floats:
     """Return the starting helices, (n, 5), or (0, 5) for none."""
-    if time is None:
+    if helices is None:
         return np.empty((0, 5))
-    start = np.ascontiguousarray(time, np.float64)
+    start = np.ascontiguousarray(helices, np.float64)
     if start.shape != (n, 5):
         raise ValueError(f"start: got shape {start.shape}, expected ({n}, 5), a helix for each candidate")
     wrong = np.flatnonzero(~np.isfinite(start).all(axis=1))
