@@ -154,7 +154,8 @@ def have_seeds(detector: Detector, layers: SeedLayers, settings: FindSettings) -
     """Return which sets of layers make a seed of the finder: a segment, circles; both (n,) bool.
 
     Segments need X and V in two layers with one between them at most, circles as many layers across the beam as
-    where no cell fires by chance and two along it. Without axial wires, a circle of each stereo sign makes a seed, too.
+    where no cell fires by chance and two along it. With fewer axial layers than of each stereo sign, or none, a circle
+    of each sign makes a seed, too.
     """
     points = layers.points
     pairs = np.array(_core.reconstruction.segment_pairs(compiled(detector)), np.int64).reshape(-1, 2)
@@ -171,11 +172,12 @@ def _circle_layers(detector: Detector, settings: FindSettings) -> int:
 
 
 def _view_layers(detector: Detector, settings: FindSettings) -> Column | None:
-    """Return how many layers of each stereo sign make a circle, (2,) int64; None where there are axial wires."""
+    """Return how many layers of each stereo sign make a circle, (2,) int64; None where there are as many axial ones."""
     twist = np.array([layer.twist for layer in wire_layers(detector)])
-    if len(twist) == 0 or not np.all(twist):
-        return None
     signs = (int(np.count_nonzero(twist > 0)), int(np.count_nonzero(twist < 0)))
+    axial = len(twist) - sum(signs)
+    if len(twist) == 0 or (axial > 0 and axial >= min(signs)):
+        return None
     return np.array([_core.reconstruction.view_layers(layers=n, least_axial=settings.least_axial) for n in signs])
 
 

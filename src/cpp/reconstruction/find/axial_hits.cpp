@@ -128,6 +128,11 @@ void AxialHits::load(const EventHits& hits) {
   }
 }
 
+void AxialHits::leave_out(std::span<const std::int32_t> ids, bool left_out) {
+  for (AxialPoint& p : points_)
+    if (std::ranges::find(ids, p.id) != ids.end()) p.left_out = left_out;
+}
+
 std::optional<FoundCircle> AxialHits::fit(const CircleStart& start, int more) {
   FoundCircle c{start.d, start.psi, start.w, {}, {}};
   Eigen::Matrix3d normal;

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "motion/views.hpp"
@@ -44,6 +45,8 @@ class AxialHits {
   void load(const EventHits& hits);
 
   std::vector<AxialPoint>& points() { return points_; }
+  // Whether hits take part in further circles, by their numbers.
+  void leave_out(std::span<const std::int32_t> ids, bool left_out = true);
   // Layers that a circle needs: more where many cells fire by chance. A slow particle turns back after a few,
   // with several cells in each.
   int least(double w) const { return std::abs(w) > slow_w_ ? least_slow_ : least_; }

@@ -27,9 +27,14 @@ void Competition::one_by_one(std::vector<FoundTrack>& tracks) {
     const Own own = this->own(track);
     if (!keeps(track, own)) continue;
     if (own.hits < static_cast<int>(track.hits.size())) {
-      std::erase_if(track.hits, [&](std::int32_t hit) {
-        return kinds_[static_cast<std::size_t>(hit)].wire && is_used(hit);
-      });
+      std::size_t left = 0;
+      for (std::size_t k = 0; k < track.hits.size(); ++k) {
+        if (kinds_[static_cast<std::size_t>(track.hits[k])].wire && is_used(track.hits[k])) continue;
+        track.hits[left] = track.hits[k];
+        track.gains[left++] = track.gains[k];
+      }
+      track.hits.resize(left);
+      track.gains.resize(left);
       track.across = own.across;
       track.along = own.along;
       track.plus = own.plus;

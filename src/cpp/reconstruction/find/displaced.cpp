@@ -21,6 +21,8 @@ constexpr double any_distance = 1000;    // mm, distance from the beam line that
 constexpr int more_layers = 1;           // than a circle from the beam line needs
 constexpr double least_lever = 200;      // mm^2, lever of a hit that measures the curvature
 constexpr std::size_t most_between = 3;  // layers of other views between two of a ring
+constexpr double on_circle = 2;          // mm, of a cluster from a circle through three others
+constexpr std::size_t most_triples = 2'000'000;
 
 std::int64_t number_of(const WireLayer& layer, double cell) {
   return static_cast<std::int64_t>(cell - layer.cells * std::floor(cell / layer.cells));
@@ -29,7 +31,11 @@ std::int64_t number_of(const WireLayer& layer, double cell) {
 }  // namespace
 
 DisplacedSearch::DisplacedSearch(const Detector& detector, AxialHits& axial)
-    : detector_(detector), axial_(axial) {
+    : detector_(detector),
+      axial_(axial),
+      single_(!axial.is_view() && std::ranges::any_of(detector.layers, [](const auto& layer) {
+        return layer.has_x != layer.has_v;
+      })) {
   const std::size_t apart = axial.is_view() ? most_between + 1 : 1;
   Ring ring{};
   std::size_t run = 0;
@@ -68,8 +74,9 @@ void DisplacedSearch::start(const EventHits& hits) {
     segments_.resize(std::min(segments_.size(), many_segments));
   }
   for (const Segment& segment : segments_) continued(segment);
+  if (single_) through_clusters(hits);
   std::ranges::sort(curves_, [](const Curve& a, const Curve& b) {
-    return std::tuple(-a.layers, a.psi, a.w, a.d) < std::tuple(-b.layers, b.psi, b.w, b.d);
+    return std::tuple(-a.layers, a.far, a.psi, a.w, a.d) < std::tuple(-b.layers, b.far, b.psi, b.w, b.d);
   });
 }
 
@@ -223,13 +230,62 @@ void DisplacedSearch::continued(const Segment& segment) {
       segment.x + sagitta * segment.uy, segment.y - sagitta * segment.ux, 0, segment.ux, segment.uy, 0, w};
   const PivotApproach line = approach_pivot(at, 0, 0);
   if (!line.exists) return;
-  curves_.push_back({layers, line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), w});
+  curves_.push_back({layers, 0, line.d, wrap_angle(std::atan2(at.uy, at.ux) + line.turn), w, more_layers});
+}
+
+// Circles through X clusters of three layers, with one layer of X between two of them at most.
+void DisplacedSearch::through_clusters(const EventHits& hits) {
+  std::vector<AxialPoint> points;
+  for (const AxialPoint& p : axial_.points())
+    if (!p.left_out && p.id < hits.first_wire()) points.push_back(p);
+  std::vector<std::span<const AxialPoint>> layers;
+  for (std::size_t i = 0, next = 0; i < points.size(); i = next) {
+    while (next < points.size() && points[next].layer == points[i].layer) ++next;
+    layers.push_back(std::span(points).subspan(i, next - i));
+  }
+  std::size_t work = 0;
+  const auto circle = [&](const AxialPoint& a, const AxialPoint& b, const AxialPoint& c) {
+    const HelixPoint at = circle_through(a.x, a.y, b.x, b.y, c.x, c.y);
+    if (std::abs(at.w) > axial_.largest_w() || at.outward() < 0) return;
+    const PivotApproach line = approach_pivot(at, 0, 0);
+    if (!line.exists || std::abs(line.d) > axial_.max_d()) return;
+    const double psi = wrap_angle(std::atan2(at.uy, at.ux) + line.turn);
+    const int met = layers_on(line.d, psi, at.w, points);
+    if (met >= axial_.least(at.w)) curves_.push_back({met, std::abs(line.d), line.d, psi, at.w, 0});
+  };
+  for (std::size_t i = 0; i + 2 < layers.size(); ++i)
+    for (std::size_t j = i + 1; j < std::min(i + 3, layers.size()); ++j)
+      for (std::size_t k = j + 1; k < std::min(j + 3, layers.size()); ++k)
+        for (const AxialPoint& a : layers[i])
+          for (const AxialPoint& c : layers[k]) {
+            if (a.x * c.x + a.y * c.y < 0) continue;
+            work += layers[j].size();
+            if (work > most_triples) {
+              cut_ = true;
+              return;
+            }
+            for (const AxialPoint& b : layers[j])
+              if (a.x * b.x + a.y * b.y > 0) circle(a, b, c);
+          }
+}
+
+// Layers with a cluster on the circle.
+int DisplacedSearch::layers_on(double d, double psi, double w, std::span<const AxialPoint> points) const {
+  const double ux = std::cos(psi), uy = std::sin(psi);
+  std::uint64_t layers = 0;
+  for (const AxialPoint& p : points) {
+    if (p.x * ux + p.y * uy < 0) continue;
+    const double g =
+        (1 - w * d) * (p.y * ux - p.x * uy) + d * (1 - 0.5 * w * d) - 0.5 * w * (p.x * p.x + p.y * p.y);
+    if (std::abs(g) < on_circle) layers |= p.layer;
+  }
+  return std::popcount(layers);
 }
 
 std::optional<FoundCircle> DisplacedSearch::next() {
   while (next_ < curves_.size()) {
     const Curve& curve = curves_[next_++];
-    auto found = axial_.fit({curve.d, curve.psi, curve.w, 0, 0, any_distance}, more_layers);
+    auto found = axial_.fit({curve.d, curve.psi, curve.w, 0, 0, any_distance}, curve.more);
     if (found) return found;
   }
   return std::nullopt;

@@ -1,5 +1,6 @@
 // Circles of tracks from anywhere: short segments in neighbouring axial layers (or layers of one stereo
-// sign), each continued by the curvature that most other such hits share.
+// sign), each continued by the curvature that most other such hits share; where layers measure one coordinate
+// each, circles through X clusters of three layers, too.
 //
 // A segment touches the drift circles of two wires. A circle through both points of contact, which are
 // `chord` apart, touches a drift circle (x, y, l) if w = 2 (a -+ l)/(x^2 + y^2 - l^2 - chord^2/4), x and y
@@ -10,6 +11,7 @@
 #include <array>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "reconstruction/find/axial_hits.hpp"
@@ -53,7 +55,9 @@ class DisplacedSearch {
   };
   struct Curve {
     int layers;
+    double far;  // mm, |d| of a circle through clusters: the closer ones are likelier
     double d, psi, w;
+    int more;  // layers than a circle from the beam line needs
   };
 
   void pairs(const Ends& ends, const EventHits& hits);
@@ -62,11 +66,14 @@ class DisplacedSearch {
   void count(const Segment& segment);
   static int straightest(const BitCounts<words>::Bits& among);
   void continued(const Segment& segment);
+  void through_clusters(const EventHits& hits);
+  int layers_on(double d, double psi, double w, std::span<const AxialPoint> points) const;
 
   const Detector& detector_;
   AxialHits& axial_;
   double most_curved(double r) const;
 
+  bool single_;  // whether there are layers of one coordinate, which make no segments of the other search
   std::vector<Ring> rings_;
   std::vector<Segment> segments_;
   std::vector<Range> ranges_;

@@ -76,7 +76,7 @@ class EventHits {
 
   // How well an X and a V cluster fit each other, by charge and time.
   double pair_score(std::int32_t x, std::int32_t v) const { return pairs_.of(source(x), source(v)); }
-  bool is_of_point(std::int32_t v) const { return pairs_.is_of_point(source(v)); }
+  bool is_of_point(std::int32_t id) const { return pairs_.is_of_point(source(id)); }
   bool may_pair(std::int32_t x, std::int32_t v) const { return pair_score(x, v) > PairScores::impossible; }
 
   // Whether a track that is beyond doubt has the hit.

@@ -34,7 +34,13 @@ class EventFinder {
         single_(std::ranges::any_of(detector.layers, [](const auto& l) { return l.has_x != l.has_v; })),
         stereo_only_(!detector.wires.empty() &&
                      std::ranges::all_of(detector.wires, [](const auto& w) { return w.twist != 0; })) {
-    if (stereo_only_) views_.emplace(detector, settings);
+    const auto count = [&](int sign) {
+      return std::ranges::count(detector.wires, sign, [](const auto& layer) { return stereo_sign(layer); });
+    };
+    const bool one_sign = count(0) > 0 && (count(1) == 0) != (count(-1) == 0);
+    ambiguous_ = detector.wires.empty() ? single_ : one_sign && detector.layers.empty();
+    if (stereo_only_ || (!detector.wires.empty() && count(0) < std::min(count(1), count(-1))))
+      views_.emplace(detector, settings);
   }
 
   const std::vector<FoundTrack>& find(std::span<const Hit> hits, std::int64_t first) {
@@ -128,6 +134,8 @@ class EventFinder {
   }
 
   static constexpr int most_failures = 5;  // circles in a row that led to no track beyond doubt
+  static constexpr int most_failures_of_clusters = 20;
+  static constexpr std::size_t few_lines = 2, many_lines = 4;  // of a circle
   static constexpr int few_wires = 5;
   // A track beyond doubt has at least so many wires and coordinates along the beam, more than so many wires
   // for each hole, and a smaller chi-square per hit.
@@ -176,16 +184,22 @@ class EventFinder {
     FoundTrack track;
     if (!follower_.follow(seed, track) || !is_track(track)) return false;
     const bool likely = is_likely(track, settings_.min_score);
-    const bool solid = likely && track.wires >= many_wires && track.along >= many_along &&
-                       track.wires > wires_per_hole * track.holes && !track.has_gaps() &&
-                       track.chi2 < largest_chi2 * static_cast<double>(track.hits.size());
-    if (solid)
-      for (const std::int32_t id : track.hits) hits_.take(id);
+    const bool solid = likely && is_solid(track);
+    if (solid && !ambiguous_) take(track);
     tracks_.push_back(std::move(track));
     return solid || (single_ && likely);
   }
+  static bool is_solid(const FoundTrack& track) {
+    return track.wires >= many_wires && track.along >= many_along &&
+           track.wires > wires_per_hole * track.holes && !track.has_gaps() &&
+           track.chi2 < largest_chi2 * static_cast<double>(track.hits.size());
+  }
+  void take(const FoundTrack& track) {
+    for (const std::int32_t id : track.hits) hits_.take(id);
+  }
 
   void from_chamber() {
+    if (views_ && !stereo_only_) from_views();
     axial_hits_.load(hits_);
     reach(limit_layers, axial_hits_.are_too_many());
     // Tracks that are found leave fewer hits, among which a circle needs fewer layers.
@@ -194,6 +208,15 @@ class EventFinder {
       axial_.start();
       follow_circles(axial_, true);
       reach(limit_boxes, axial_.is_cut());
+      if (!ambiguous_) continue;
+      settle();
+      for (const FoundTrack& track : tracks_)
+        if (is_solid(track)) take(track);
+    }
+    if (single_) {  // anew: clusters of a circle without a track may be of others
+      axial_hits_.load(hits_);
+      for (const FoundTrack& track : tracks_)
+        if (is_likely(track, settings_.min_score)) axial_hits_.leave_out(track.hits);
     }
     displaced_.start(hits_);
     reach(limit_local, displaced_.is_cut());
@@ -238,18 +261,21 @@ class EventFinder {
 
   template <class Search>
   void follow_circles(Search& search, bool bend) {
+    const bool of_clusters = single_ && !bend;
+    const int most = of_clusters ? most_failures_of_clusters : most_failures;
     int failures = 0;
-    for (int n = 0; n < settings_.max_seeds && failures < most_failures; ++n) {
+    for (int n = 0; n < settings_.max_seeds && failures < most; ++n) {
       const auto circle = search.next();
       if (!circle) return;
       ++failures;
-      for (const FoundLine& line : stereo_.find(*circle, hits_, 2, bend)) {
+      for (const FoundLine& line : stereo_.find(*circle, hits_, ambiguous_ ? many_lines : few_lines, bend)) {
         if (!try_seed(seed_of(bent(*circle, line), line))) continue;
         failures = 0;
-        break;
+        if (!ambiguous_) break;
       }
+      if (of_clusters && failures > 0) axial_hits_.leave_out(circle->hits, false);
       reach(limit_circles, n + 1 == settings_.max_seeds);
-      reach(limit_failures, failures == most_failures);
+      reach(limit_failures, failures == most);
     }
   }
 
@@ -313,6 +339,9 @@ class EventFinder {
   Annealing annealing_;
   bool single_;  // whether there are layers of one coordinate, which make no segments
   bool stereo_only_;
+  // Layers of one coordinate each, or axial wires and stereo wires of one sign: the measurements of another
+  // track are a line in z, too, elsewhere. Several lines are followed, and the tracks of a circle compete.
+  bool ambiguous_ = false;
   std::vector<FoundTrack> tracks_;
   std::int64_t seeds_ = 0;
   std::uint8_t limits_ = 0;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <optional>
 
 #include "common/compiler.hpp"
 #include "reconstruction/find/compete.hpp"
@@ -25,6 +26,26 @@ constexpr int least_hits = 3;
 constexpr double close_to_edge = 0.85;  // of half a cell
 constexpr int settled_after = 10;       // hits; a worse branch does not become the best one later
 constexpr double negligible = -60;      // logarithm of the likelihood of the other side of a wire
+constexpr Five<double> no_prior{{1e4, 1, 100, 1e6, 25}};
+// Wires, and stereo wires among them, that predict the clusters in front of them.
+constexpr int enough_wires = 10, enough_along = 4;
+constexpr double log_scattered = -5;      // logarithm of the probability of a scatter beyond `gate`
+constexpr double near_x = 2, near_v = 6;  // mm, of other clusters from the track
+
+// What a pass expects of a track that the same hits have made.
+Symmetric<double> loosened(Symmetric<double> covariance) {
+  for (double& entry : covariance.v) entry *= inflation;
+  covariance(0, 0) += curved * curved;
+  covariance(3, 3) += curved * curved;
+  return covariance;
+}
+
+Perigee moved(const Perigee& reference, const Five<double>& x) {
+  Perigee helix{reference.d + x[0], wrap_angle(reference.psi + x[1]), reference.kappa + x[2],
+                reference.z0 + x[3], reference.tanl + x[4]};
+  if (helix.kappa == 0) helix.kappa = 1e-9;
+  return helix;
+}
 
 }  // namespace
 
@@ -56,10 +77,16 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
   Symmetric<double> prior = seed.covariance;
   std::span<const std::int32_t> forced = seed.hits;
   for (int number = 0; number < settings_.passes; ++number) {
-    const Branch* const best = pass(start, prior, forced, number == 0);
-    if (best == nullptr || best->score < hopeless - most_prompt ||
+    const std::optional<Branch> best = pass(start, prior, forced, number == 0);
+    if (best && number + 1 < settings_.passes && choose_clusters(*best)) {
+      start = moved(reference_, fitted_.x);
+      prior = loosened(fitted_.c);
+      forced = chosen_;
+      continue;
+    }
+    if (!best || best->score < hopeless - most_prompt ||
         !refit(*best, number == 0 && !forced.empty() ? 1 : 2)) {
-      if (number == 0) return false;
+      if (track.hits.empty()) return false;
       break;  // about a reference that stops: the track of the pass before stays
     }
     collect(*best, track);
@@ -73,10 +100,7 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
       break;
     last_found_ = track.hits;
     start = track.helix;
-    prior = track.covariance;
-    for (double& entry : prior.v) entry *= inflation;
-    prior(0, 0) += curved * curved;
-    prior(3, 3) += curved * curved;
+    prior = loosened(track.covariance);
     forced = {};
   }
   return std::abs(track.helix.d) <= settings_.max_d && std::abs(track.helix.z0) <= settings_.max_z;
@@ -105,7 +129,7 @@ bool Follower::is_complete(const FoundTrack& track) const {
 
 // One pass outward about `start`.
 auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
-                    std::span<const std::int32_t> forced, bool wide) -> const Branch* {
+                    std::span<const std::int32_t> forced, bool wide) -> std::optional<Branch> {
   reference_ = start;
   // A circle through the hits has the momentum after some of the loss; with that at the origin, the particle
   // may stop before its last hits.
@@ -130,17 +154,11 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
       gap_view(step, View::x, forced);
       gap_view(step, View::v, forced);
     }
-    const auto noise = static_cast<std::size_t>(step.noise);
-    for (Branch& branch : branches_) {
-      if (branch.ended) continue;
-      if (!group_.dense)
-        add_noise(branch.state.c, group_.noise[noise], slab.shifts);
-      else
-        add_noise(branch.state.c, group_.dense_noise[noise], slab.shifts);
-    }
+    for (Branch& branch : branches_)
+      if (!branch.ended) add_noise_of(step, branch);
   }
   const auto best = std::ranges::max_element(branches_, {}, &Branch::score);
-  return best->hits >= least_hits ? &*best : nullptr;
+  return best->hits >= least_hits ? std::optional(*best) : std::nullopt;
 }
 
 // Whether the reference passes all of some hits; false without any.
@@ -149,6 +167,99 @@ bool Follower::meets_all(std::span<const std::int32_t> wanted) const {
   for (const Slot<double>& s : group_.slots)
     if (s.met && s.hit[0] >= 0 && std::ranges::find(wanted, s.hit[0]) != wanted.end()) ++met;
   return met > 0 && met >= wanted.size();
+}
+
+// Outward, a foreign cluster in the first layer misleads those behind it, and the next pass expects it, since
+// its hits have made the prior. Inward, the wires predict the clusters, which then have no part in it.
+bool Follower::choose_clusters(const Branch& best) {
+  before_.clear();
+  int wires = 0, along = 0;
+  for (std::int32_t at = best.chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before) {
+    const Link& link = links_[static_cast<std::size_t>(at)];
+    Slot<double>& there = slot(link.slot);
+    if (there.view != View::wire) {
+      before_.push_back(there.hit[0]);
+      continue;
+    }
+    there.used = true;
+    there.weight = link.weight;
+    measure(detector_, settings_, there);
+    ++wires;
+    along += detector_.wires[static_cast<std::size_t>(there.layer)].twist != 0 ? 1 : 0;
+  }
+  if (wires < enough_wires || along < enough_along) return false;
+  // Without other clusters near the track, there is nothing to choose.
+  const auto near = std::ranges::count_if(group_.slots, [&](const Slot<double>& s) {
+    if (s.view == View::wire || !s.met) return false;
+    const double off = s.drift - s.predicted - dot(s.row, best.state.x);
+    return std::abs(off) < (s.view == View::x ? near_x : near_v) ||
+           std::ranges::find(before_, s.hit[0]) != before_.end();
+  });
+  if (near == static_cast<std::ptrdiff_t>(before_.size())) return false;
+  branches_.assign(
+      1, {{Five<double>::zero(), Symmetric<double>::diagonal(no_prior), 0}, 0, -1, 0, 0, 0, 0, false});
+  for (std::size_t i = group_.steps.size(); i-- > 0;) {
+    const GroupStep& step = group_.steps[i];
+    if (!step.is_slab) {
+      for (std::int32_t s = step.last; s-- > step.first;)
+        if (slot(s).used) add_wire(s);
+      continue;
+    }
+    const Slab& slab = detector_.slabs[static_cast<std::size_t>(step.slab)];
+    for (Branch& branch : branches_) add_noise_of(step, branch);
+    if (slab.gap < 0) continue;
+    gap_view(step, View::x, {});
+    gap_view(step, View::v, {});
+  }
+  // The particle may come from behind the layers that it misses last.
+  const Branch* chosen = nullptr;
+  double most = 0;
+  for (const Branch& branch : branches_) {
+    const double score =
+        branch.score - branch.in_row * log_missed_ +
+        log_prompt(moved(reference_, branch.state.x), branch.state.c, settings_.max_d, settings_.max_z);
+    if (chosen != nullptr && !(score > most)) continue;
+    chosen = &branch;
+    most = score;
+  }
+  chosen_.clear();
+  for (std::int32_t at = chosen->chain; at >= 0; at = links_[static_cast<std::size_t>(at)].before)
+    chosen_.push_back(slot(links_[static_cast<std::size_t>(at)].slot).hit[0]);
+  fitted_ = chosen->state;
+  std::ranges::sort(before_);
+  std::ranges::sort(chosen_);
+  return before_ != chosen_ && sound(fitted_) && positive_definite(fitted_.c);
+}
+
+// A wire of the track, for all branches.
+void Follower::add_wire(std::int32_t number) {
+  const Slot<double>& wire = slot(number);
+  for (Branch& branch : branches_) {
+    const Five<double> ch = branch.state.c * wire.row;
+    const double total = dot(wire.row, ch) + wire.variance,
+                 residual = wire.residual - dot(wire.row, branch.state.x), per = 1 / total;
+    branch.state.x = branch.state.x + (residual * per) * ch;
+    branch.state.c.add([&](auto i, auto j) { return -per * ch[i] * ch[j]; });
+    branch.score += log_gaussian(residual * residual * per, total);
+    ++branch.hits;
+    branch.in_row = 0;
+  }
+}
+
+void Follower::add_noise_of(const GroupStep& step, Branch& branch) const {
+  const bool shifts = detector_.slabs[static_cast<std::size_t>(step.slab)].shifts;
+  const auto noise = static_cast<std::size_t>(step.noise);
+  if (group_.dense)
+    add_noise(branch.state.c, group_.dense_noise[noise], shifts);
+  else
+    add_noise(branch.state.c, group_.noise[noise], shifts);
+}
+
+// Whether the branch has the X of a point in this layer, whose V should follow.
+bool Follower::is_in_point(const Branch& branch, std::size_t layer) {
+  if (branch.chain < 0) return false;
+  const Slot<double>& x = slot(links_[static_cast<std::size_t>(branch.chain)].slot);
+  return x.view == View::x && static_cast<std::size_t>(x.layer) == layer && hits_->is_of_point(x.hit[0]);
 }
 
 // How well a V cluster fits the X cluster that the branch has in the same layer. The V of a point is not
@@ -190,8 +301,10 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
       take(next_.back(), s, residual, total, ch, log_found_ + log_gaussian(chi2, total) - log_density + pair,
            0);
     }
-    if (only >= 0 && tries) continue;
+    if (tries && only >= 0) continue;
     next_.push_back(branch);
+    // A point far from the prediction along the beam is that of something else, or of a hard scatter.
+    if (tries && view == View::v && is_in_point(branch, layer)) next_.back().score += log_scattered;
     if (tries && nearby_.expects(step) && detector_.layers[layer].has(view == View::x))
       hole(next_.back(), log_missed_);
   }
@@ -320,12 +433,11 @@ void Follower::keep_used(const Branch& best) {
 // with their sides from the time before.
 bool Follower::refit(const Branch& best, int times) {
   keep_used(best);
-  const Five<double> prior{{1e4, 1, 100, 1e6, 25}};
   const bool on_wires =
       std::ranges::any_of(group_.slots, [](const Slot<double>& s) { return s.view == View::wire; });
   for (int time = 1; time <= times; ++time) {
     for (Slot<double>& s : group_.slots) measure(detector_, settings_, s);
-    fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(prior));
+    fitted_ = filter(detector_, group_, Symmetric<double>::diagonal(no_prior));
     if (!(sound(fitted_) && positive_definite(fitted_.c))) return false;
     if (time == times || !on_wires) break;
     smooth(group_, false);
@@ -368,10 +480,7 @@ void Follower::collect(const Branch& best, FoundTrack& track) const {
     track.hidden += hits_->occupancy(static_cast<std::size_t>(layer));
   std::ranges::reverse(track.hits);
   std::ranges::reverse(track.gains);
-  const Five<double>& x = fitted_.x;
-  track.helix = {reference_.d + x[0], wrap_angle(reference_.psi + x[1]), reference_.kappa + x[2],
-                 reference_.z0 + x[3], reference_.tanl + x[4]};
-  if (track.helix.kappa == 0) track.helix.kappa = 1e-9;
+  track.helix = moved(reference_, fitted_.x);
   track.covariance = fitted_.c;
   track.score += log_prompt(track.helix, track.covariance, settings_.max_d, settings_.max_z);
 }

@@ -9,6 +9,7 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -68,10 +69,16 @@ class Follower {
   };
 
   // The best branch, or none if it has too few hits.
-  const Branch* pass(const Perigee& start, const Symmetric<double>& prior,
-                     std::span<const std::int32_t> forced, bool wide);
+  std::optional<Branch> pass(const Perigee& start, const Symmetric<double>& prior,
+                             std::span<const std::int32_t> forced, bool wide);
   bool meets_all(std::span<const std::int32_t> wanted) const;
+  // Chooses the clusters of a branch anew, by its wires. Returns whether others are likelier: these are then
+  // `chosen_`, and the track with them is `fitted_`.
+  bool choose_clusters(const Branch& best);
+  void add_wire(std::int32_t number);
+  void add_noise_of(const GroupStep& step, Branch& branch) const;
   void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
+  bool is_in_point(const Branch& branch, std::size_t layer);
   double pair_score(const Branch& branch, const Slot<double>& v);
   void wires(const GroupStep& step);
   void wire(Slot<double>& slot);
@@ -102,6 +109,7 @@ class Follower {
   std::vector<std::int32_t> order_;  // of branches, the best one first
   std::vector<Link> links_;
   std::vector<std::int32_t> last_found_;
+  std::vector<std::int32_t> chosen_, before_;  // clusters
   FilteredState<double> fitted_{};
   Perigee reference_{};
 };

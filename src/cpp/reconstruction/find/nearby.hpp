@@ -85,7 +85,11 @@ class NearbyHits {
     // Along the flight: cells before the first hit of a particle are no holes.
     const double side = at.sideways() < 0 ? -1 : 1, begin = side < 0 ? range.last : range.first,
                  count = std::min(range.last - range.first, most_cells);
-    for (double c = -beside_; c <= count + beside_; c += 1) {
+    // The reference may be a cell off, which is more cells away along the layer where it crosses obliquely.
+    const HelixPoint& there = range.at_wires;
+    const double oblique = std::hypot(there.x, there.y) / std::max(there.outward(), 1e-9),
+                 beside = std::round(beside_ * std::min(oblique, most_oblique));
+    for (double c = -beside; c <= count + beside; c += 1) {
       const std::int64_t cell = cell_numbers(layer, begin + side * c)[0];
       const std::int32_t id = hits_->at(index, cell);
       const bool crossed = c >= 0 && c <= count && !layer.is_masked(static_cast<std::size_t>(cell));
@@ -107,7 +111,7 @@ class NearbyHits {
 
  private:
   static constexpr double seam = 3;  // mm
-  static constexpr double most_cells = 12;
+  static constexpr double most_cells = 12, most_oblique = 4;
 
   std::size_t number(const GroupStep& step) const {
     return static_cast<std::size_t>(&step - group_.steps.data());

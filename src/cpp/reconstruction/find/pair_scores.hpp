@@ -33,10 +33,10 @@ class PairScores {
     if (scores_.empty()) return 0;
     const auto found = scores_.find(key(x, v));
     if (found != scores_.end()) return found->second;
-    return points_x_.contains(x) || is_of_point(v) ? impossible : 0;
+    return points_x_.contains(x) || points_v_.contains(v) ? impossible : 0;
   }
-  // Whether a V is of a certain pair.
-  bool is_of_point(std::int64_t v) const { return points_v_.contains(v); }
+  // Whether an X or a V is of a certain pair.
+  bool is_of_point(std::int64_t hit) const { return points_x_.contains(hit) || points_v_.contains(hit); }
 
  private:
   static std::uint64_t key(std::int64_t x, std::int64_t v) {

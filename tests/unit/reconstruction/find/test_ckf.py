@@ -838,6 +838,48 @@ def test_circles_of_two_neighbouring_tracks_are_not_exchanged(angles):
     assert cg.study.finding(result).rates().wrong_z.count <= 0.015 * reference
 
 
+def test_stereo_wires_of_one_sign():
+    """The wires of another track are a line in z, too: 8 % were wrong in z. The vertex tells them apart.
+
+    10 of 320 tracks are lost, 24 with a probability of 1e-4.
+    """
+    detector = stereo_chamber(["0 mrad"] * 8 + ["50 mrad"] * 8 + ["0 mrad"] * 8)
+    found, reference, _, _ = right(detector, cg.Gun("mu-", pt=(0.1, 0.6), cos_theta=(-0.3, 0.3)), 20, 16)
+    assert reference == 320
+    assert found > reference - 24
+
+
+def test_few_axial_layers_outside_of_many_stereo_layers():
+    """The circle of the axial layers is uncertain far inside; circles of both signs are not: 1.5 % were lost."""
+    detector = stereo_chamber(["60 mrad", "-60 mrad"] * 10 + ["0 mrad"] * 8)
+    found, reference, _, _ = right(detector, cg.Gun("mu-", pt=(0.1, 0.6), cos_theta=(-0.3, 0.3)), 400)
+    assert reference >= 396
+    assert found >= reference - 3
+
+
+@pytest.mark.parametrize("x", [25.0, 45.0])
+def test_displaced_tracks_in_layers_of_one_coordinate(x):
+    """X clusters of three layers make a circle that does not come from the beam line: 13 and 33 % were lost."""
+    detector = barrel(
+        1, np.linspace(50, 600, 10).round(1), {"sigma_x": "20 um"}, {"sigma_v": "20 um", "stereo": "6 deg"}
+    )
+    guns = [cg.Gun(name, p=(0.3, 1.0), cos_theta=(-0.5, 0.5), vertex=(x, 0.0, 0.0)) for name in ("pi+", "pi-")]
+    run = cg.run(detector, guns[0] + guns[1], n=50, settings=QUIET, finder="ckf")
+    finding = cg.study.finding(run)
+    rates = finding.rates()
+    assert finding.findable.sum() >= 98
+    assert rates.efficiency.count >= finding.findable.sum() - 2
+    assert rates.fakes.count + rates.clones.count <= 2
+
+
+def test_tracks_that_cross_layers_obliquely_keep_their_wires():
+    """A reference that is a cell off is several cells away along a layer: 5.8 % of the wires were lost."""
+    gun = cg.Gun("mu-", p=(0.06, 0.2), cos_theta=(-0.9, 0.9))
+    finding = cg.study.finding(cg.run("besiii-cgem", gun, n=150, seed=3, settings=QUIET, finder="ckf"))
+    assert finding.purity > 0.999
+    assert finding.hit_efficiency > 0.96
+
+
 def random_barrel(random):
     """A detector that nobody has chosen: pixels, strips or a chamber, with radii, field, angles and tracks drawn."""
     field = random.choice([0.5, 1.0, 2.0, 3.0])
@@ -863,7 +905,7 @@ def random_barrel(random):
 
 
 #: Share of the tracks that is found at least, for each number of tracks in an event.
-LEAST = {1: 0.99, 4: 0.98, 10: 0.95}
+LEAST = {1: 0.99, 4: 0.98, 10: 0.98}
 #: Tracks of a point: so many that the mean of all points is more than 3.5 standard errors above its gate.
 NUMBER = {1: 100, 4: 400, 10: 800}
 #: Of a point that is exactly as good as its gate to fail by chance. 24 points: once in ten thousand runs.
@@ -889,6 +931,16 @@ def test_random_detectors():
         assert binom.sf(lost - 1, reference, 1 - LEAST[tracks]) > BY_CHANCE, f"{name}: {share}"
     for tracks, least in LEAST.items():
         assert np.mean([share for share, *_, number, _ in points if number == tracks]) >= least
+
+
+@pytest.mark.parametrize(("detector", "n", "most"), [("stcf-like", 3, 0.03), ("besiii-cgem", 5, 0.06)])
+def test_wires_choose_among_the_clusters_of_64_tracks(detector, n, most):
+    """A foreign V in the first layer of the CGEM misleads those behind it: 8 and 11 % were wrong in z."""
+    gun = cg.Gun("mu-", p=(0.17, 0.57), cos_theta=(-0.9, 0.9))
+    run = cg.run(detector, Guns((gun,) * 64), n, 1, settings=QUIET, finder="ckf")
+    rates = cg.study.finding(run).rates()
+    assert rates.efficiency.value > 0.93
+    assert rates.wrong_z.count <= most * 64 * n
 
 
 def views_in(run, layer):
