@@ -24,6 +24,8 @@ SECOND_INSIDE = 1 - 2 * _N_SIGMA * math.exp(-(_N_SIGMA**2) / 2) / math.sqrt(2 * 
 
 _CENTRAL = math.erf(1 / math.sqrt(2))  # 0.6827, what a Gaussian holds within one sigma
 
+_ODD = 0.1  # of the core, by which q68 differs where no Gaussian describes most rows
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Resolution(Comparable, Tabular):
@@ -91,8 +93,18 @@ class Resolution(Comparable, Tabular):
                  (self.core_mean, self.core_mean_error), (100 * self.tail, 100 * self.tail_error)]  # fmt: skip
         notes = [f"{self.other_mass} of another mass"] if self.other_mass else []
         notes += [f"{self.electrons} electrons, tails by radiation"] if self.electrons else []
+        notes += [] if self.electrons or self.is_gaussian() else ["core not Gaussian"]
         rows = f"{self.n} ({'; '.join(notes)})" if notes else str(self.n)
         return [*(with_error(*pair) for pair in pairs), rows, self.removed_text()]
+
+    def is_gaussian(self) -> bool:
+        """Return whether core and q68 agree: within 10 % of the core, or 5 of their errors.
+
+        They differ where the hits of tracks at one angle move together, as in strips without charge (docs/methods/
+        resolutions.md): the core is then that of some rows, and q68 and RMS tell more.
+        """
+        off, error = abs(self.q68 - self.core), math.hypot(self.q68_error, self.core_error)
+        return not (off > _ODD * self.core and off > 5 * error)
 
     def columns(self) -> dict[str, list[Any]]:
         """Return all numbers as columns of one row; `removed` as text, the window as two columns."""

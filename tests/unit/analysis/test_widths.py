@@ -85,6 +85,19 @@ def test_gaussian_with_tails():
         assert_within(found.core, 1.0, found.core_error)
 
 
+@pytest.mark.parametrize(("share", "wide", "gaussian"), [(0.1, 5.0, True), (0.2, 3.0, True), (0.3, 8.0, False)])
+def test_the_word_where_the_core_is_that_of_some_rows(share: float, wide: float, gaussian: bool) -> None:
+    """Tails of usual size are no reason; q68 half as large again, or of a rectangle, is; electrons have their own."""
+    x = rng(6).standard_normal(N) * np.where(rng(7).random(N) < share, wide, 1.0)
+    found = measure(x)
+    assert (abs(found.q68 / found.core - 1) < 0.1) == gaussian == found.is_gaussian()
+    assert ("core not Gaussian" in str(found)) == (not gaussian)
+    assert not measure(rng(8).uniform(-1, 1, N)).is_gaussian()
+    assert measure(x[:30]).is_gaussian()  # too few rows to tell
+    assert measure([]).is_gaussian()
+    assert "not Gaussian" not in str(measure(x, electrons=N))
+
+
 def test_uniform_sample():
     """A rectangle is no Gaussian: its core is its standard deviation / sqrt(0.9733), its q68 0.3413 of its width."""
     x = rng(5).uniform(-0.5, 0.5, N)
