@@ -426,7 +426,7 @@ class LayerCrossings(Shown, Tabular):
     --------
     >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
     >>> found = cg.study.layer_crossings(r)
-    >>> bool(found.has_x.mean() > 0.9), found.binned("z", [-400, 0, 400]).tracks.sum() == len(found)
+    >>> bool(found.has_x.mean() > 0.9), int(found.binned("z", [-400, 0, 400]).tracks.sum()) == len(found)
     (True, True)
     """
 
