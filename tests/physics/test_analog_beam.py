@@ -197,9 +197,16 @@ def test_analytic_errors_are_those_of_tracks(readout: AnalogReadout | Projection
     as_expected(readout, (-0.93, 0.93), 8000)
 
 
+#: Across the beam d_z of the projection readout is 7 % wider than expected, within the gate and 1.5 errors.
+AT_ANGLES = [
+    pytest.param(*one.values, cos_theta, id=f"{one.id}-{cos_theta}", marks=() if cos_theta == 0 else one.marks)
+    for one in WITH_CHARGE
+    for cos_theta in (-0.8, 0.0, 0.4)
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("cos_theta", [-0.8, 0.0, 0.4])
-@pytest.mark.parametrize("readout", WITH_CHARGE)
+@pytest.mark.parametrize(("readout", "cos_theta"), AT_ANGLES)
 def test_analytic_errors_at_one_angle(
     readout: AnalogReadout | ProjectionReadout, cos_theta: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,7 +103,7 @@ def test_numbers_that_cannot_be_changed_have_no_bar(sensitivity):
 
 
 def test_what_cannot_be_drawn_is_refused(covariance, sensitivity):
-    with pytest.raises(ValueError, match=r"momenta of shape \(1,\).*expected a list of two momenta"):
+    with pytest.raises(ValueError, match=r"points of shape \(1,\).*expected a list of two momenta"):
         draw_budget(cg.analytic(DESIGN, p=[1.0], samples=2).budget("p"))
     with pytest.raises(ValueError, match="expected a list of two momenta or more at one cos"):
         draw_budget(cg.analytic(DESIGN, p=[0.5, 1.0], cos_theta=[0.0, 0.5], samples=2).budget("p"))

@@ -575,7 +575,7 @@ def test_decorrelated_columns(points):
     k = RHO * ERR_V / ERR_X
     np.testing.assert_allclose(hits.k[v], k)
     np.testing.assert_array_equal(hits.x[v], hits.value[x])
-    np.testing.assert_allclose(hits.value[v], clusters["v"][hits.hit[v]] - k * clusters["x"][hits.row[x]])
+    np.testing.assert_allclose(hits.value[v], clusters["v"][hits.hit[v]] - k * clusters["x"][hits.hit[x]])
     np.testing.assert_allclose(hits.sigma[v], ERR_V * np.sqrt(1 - RHO**2))
 
 

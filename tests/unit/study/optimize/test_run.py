@@ -252,6 +252,7 @@ SEVEN_LIMITS = {"channels": (None, 12000), "x0": (None, 1.5), "gap": (3, None), 
         {},
         {"cgem.*.pitch_x": "350 um", "cgem.*.pitch_v": "350 um"},
         {"cgem.*.pitch_x": "900 um", "cgem.*.stereo": "20 deg"},
+        {"cgem.*.drift_gap": "3 mm"},
     ],
 )
 def test_a_start_that_violates_limits_ends_at_the_allowed_optimum(changes: dict[str, Any]) -> None:
