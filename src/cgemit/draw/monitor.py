@@ -312,7 +312,7 @@ def draw_layer_maps(crossings: LayerCrossings, hits: HitResiduals) -> Picture:
     >>> r = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7)), n=50, readout="tiger")
     >>> crossings = cg.study.layer_crossings(r)
     >>> cg.draw.draw_layer_maps(crossings, cg.study.hit_residuals(r)).axes[0].get_title()
-    'L1: X and V (%)'
+    'L1: X and V, 50 tracks'
     """
     labels = crossings.labels
     with style():
@@ -322,10 +322,10 @@ def draw_layer_maps(crossings: LayerCrossings, hits: HitResiduals) -> Picture:
             of_layer = hits.select((hits.layer == number) & (hits.view < 2) & hits.counts)
             most = max(np.abs([*mine.z, *of_layer.z]).max(initial=1.0), 1.0)
             edges = (np.linspace(-np.pi, np.pi, _MAP[0] + 1), np.linspace(-most, most, _MAP[1] + 1))
-            shown = [(f"{label}: X and V (%)", mine.phi, mine.z, 100.0 * (mine.has_x & mine.has_v), 1)]
+            shown = [(f"{label}: X and V", mine.phi, mine.z, 100.0 * (mine.has_x & mine.has_v), 1)]
             for view in (0, 1):
                 own = of_layer.select(of_layer.view == view)
-                shown.append((f"{label}: mean residual {VIEWS[view]} (um)", own.phi, own.z, 1e3 * own.residual, _LEAST))
+                shown.append((f"{label}: mean residual {VIEWS[view]}", own.phi, own.z, 1e3 * own.residual, _LEAST))
             for row, (title, phi, z, value, least) in enumerate(shown):
                 plot = axes[row * len(labels) + column]
                 counts = np.histogram2d(phi, z, edges)[0]
@@ -336,9 +336,9 @@ def draw_layer_maps(crossings: LayerCrossings, hits: HitResiduals) -> Picture:
                 if row:
                     look = {"cmap": "coolwarm", "vmin": -limit, "vmax": limit}
                 picture.colorbar(plot.pcolormesh(*edges, mean.T, **look), ax=plot, label="um" if row else "%")
-                plot.set(title=title, xlabel="azimuth (rad)", ylabel="z (mm)")
-                statistics_box(plot, [f"{len(phi)} {'hits' if row else 'tracks'}"])
-        picture.subplots_adjust(left=0.06, right=0.98, top=0.96, bottom=0.07, hspace=0.42, wspace=0.32)
+                number_of = f"{len(phi)} {'hits' if row else 'tracks'}"
+                plot.set(title=f"{title}, {number_of}", xlabel="azimuth (rad)", ylabel="z (mm)")
+        picture.subplots_adjust(left=0.06, right=0.96, top=0.96, bottom=0.07, hspace=0.42, wspace=0.36)
     return picture
 
 

@@ -485,7 +485,8 @@ def _with_gradients(descent: Descent, here: Point, tolerance: float, steps: int)
     """Minimize by linear programs within a box that grows and shrinks; every step is a design with its own hits.
 
     While the design violates a limit, steps reduce the worst violation, below the largest of the last three designs;
-    later ones keep all limits and reduce the objective. R. Fletcher and E. Sainz de la Maza, Math. Program. 43 (1989) 235, without second derivatives.
+    later ones keep all limits and reduce the objective. R. Fletcher and E. Sainz de la Maza, Math. Program. 43 (1989)
+    235, without second derivatives.
     """
     size, missed = _FIRST, [here.missed]
     for step in range(1, steps + 1):
