@@ -555,9 +555,9 @@ def layer_crossings(result: Result, near: float = NEAR) -> LayerCrossings:
     ([0, 1, 2], True)
     """
     if not {"tracks", "candidate_hits"} <= result.tables.keys():
-        raise ValueError("layer_efficiencies: got a result without tracks and their hits, expected one of a fit")
+        raise ValueError("layer_crossings: got a result without tracks and their hits, expected one of a fit")
     if not near > 0:
-        raise ValueError(f"layer_efficiencies: near: got {near}, expected a positive distance in mm")
+        raise ValueError(f"layer_crossings: near: got {near}, expected a positive distance in mm")
     parts = [_crossings(result, number, near) for number in cgem_numbers(result.detector)]
     names = [name for name in LayerCrossings.__dataclass_fields__ if name != "labels"]
     columns: dict[str, Any] = {

@@ -164,6 +164,6 @@ def test_hot_and_dead_strips():
 def test_results_without_tracks(run):
     tables = {"clusters": run.clusters, "wire_hits": run.wire_hits}
     bare = cg.Result(detector=run.detector, gun=None, seed=0, settings=run.settings, timings={}, tables=tables)
-    for name in ("hit_residuals", "layer_efficiencies"):
-        with pytest.raises(ValueError, match=f"{name}: got a result without tracks"):
+    for name, said in (("hit_residuals",) * 2, ("layer_crossings",) * 2, ("layer_efficiencies", "layer_crossings")):
+        with pytest.raises(ValueError, match=f"{said}: got a result without tracks"):
             getattr(cg.study, name)(bare)
