@@ -1,5 +1,6 @@
 """Build the documentation's site, warnings as errors: python docs/make_site.py FOLDER (extra [docs])."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -16,7 +17,9 @@ def main(folder: str) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         built = Path(temporary) / "html"
         command = ["-m", "sphinx", "-q", "-E", "-W", "-j", "auto", "-c", "docs", "-d", f"{temporary}/doctrees"]
-        subprocess.run([sys.executable, *command, ".", str(built)], cwd=ROOT, check=True)
+        # Notebooks draw by Jupyter's own backend: with another one, such as agg of tests, their pictures are not kept.
+        environment = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+        subprocess.run([sys.executable, *command, ".", str(built)], cwd=ROOT, check=True, env=environment)
         for page in built.rglob("*.html"):  # formulas work without a network; widgets of notebooks do not
             remote = re.search(r'<script[^>]* src="https?:', page.read_text(encoding="utf-8"))
             if remote and "notebooks" not in page.parts:
