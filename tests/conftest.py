@@ -33,8 +33,8 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def equal_weights(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Tune detectors in which all matter of a track acts with every slab; none of them is kept."""
+    from caches import forget
     from cgemit import fit_matter
-    from cgemit.detector.core import forget
 
     monkeypatch.setattr(fit_matter, "_muon_terms", lambda *_: None)
     monkeypatch.setattr(fit_matter, "_assumed", lambda core: core)

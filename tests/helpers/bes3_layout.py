@@ -10,7 +10,8 @@ import awkward as ak
 import numpy as np
 
 from cgemit import helix
-from cgemit.bes3.events import HYPOTHESES
+from cgemit.bes3 import events
+from cgemit.bes3.events import CLUSTER_ERRORS, HYPOTHESES
 from cgemit.detector.drift import propagation_time
 from cgemit.units import LIGHT
 
@@ -103,6 +104,13 @@ def events_of(result):
     arrays["kal_tracks"] = records("kal_tracks", of_track[0], n, common | kal)
     arrays |= _truth(result, n)
     return arrays
+
+
+def tables_of(arrays, detector, *, errors=CLUSTER_ERRORS, every_cluster=False):
+    """Return the tables of collections of pybes3, by the names of `cgemit.bes3.events.COLLECTIONS`."""
+    n_events = max((len(one) for one in arrays.values()), default=0)
+    found = events.columns_of_events(arrays)
+    return events.tables_of(found, n_events, detector, errors=errors, every_cluster=every_cluster)
 
 
 def as_read_out(result, late, offset):

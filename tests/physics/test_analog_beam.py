@@ -17,7 +17,7 @@ from cgemit import Apv25Readout, Gun, ProjectionReadout, TigerReadout, analytic,
 from cgemit.analysis.widths import measure
 from cgemit.chain.result import Result
 from cgemit.covariance.result import Covariance
-from cgemit.detector.gas import ionization, mean_shift
+from cgemit.detector.gas import ionization
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.reconstruction.cluster import cluster, clusterer_of
 from cgemit.study.readout.errors import measurements
@@ -25,6 +25,7 @@ from cgemit.study.readout.scan import beam_detector, beam_run, beam_views
 from cgemit.tables import Table
 from cgemit.truth import assign
 from clusterers import expect
+from lorentz import mean_shift
 
 PLANE = beam_detector(0.0)
 FIELD = beam_detector(1.0)

@@ -10,9 +10,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from caches import forget
 from cgemit import _core
 from cgemit.detector import compiled, gas, load, slabs
-from cgemit.detector.core import forget
 from pages.deltas import Fraction, born, displaced, failures, reference_stack
 from slabs import MUON
 from stats import assert_within

@@ -5,7 +5,6 @@ import pytest
 
 import bes3_layout
 import cgemit as cg
-from cgemit.bes3.events import events_of
 from cgemit.bes3.reconstruct import numbered_tables, reconstruct_events
 from stats import assert_within
 
@@ -64,7 +63,7 @@ def measured():
     run = cg.run(detector, muon, n=EVENTS, seed=4, settings=settings)
     random = np.random.default_rng(2)
     late = bes3_layout.TICK * random.integers(-3000, 3000, EVENTS)
-    events = events_of(bes3_layout.as_read_out(run, late, OFFSET), detector)
+    events = bes3_layout.tables_of(bes3_layout.as_read_out(run, late, OFFSET), detector)
     near = bes3_layout.START + late + random.uniform(-SLACK, SLACK, EVENTS)
     mu = cg.Settings(fit=cg.FitSettings(hypothesis="mu"))
     return run, late, events, reconstruct_events(events, mu, start_time=near)

@@ -127,11 +127,6 @@ class SettingsData:
         return toml_text(tables, comment=(lambda path: _about(self, path)) if comments else None)
 
     @classmethod
-    def from_toml(cls, text: str, source: str = "TOML text") -> Self:
-        """Return the settings that the text of a TOML file holds; see `from_dict`."""
-        return cls.from_dict(_parsed(text, source), source)
-
-    @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Return the settings of a TOML file.
 

@@ -463,27 +463,6 @@ def read_events(
     return tables_of(found, n_events, detector, errors=errors, every_cluster=every_cluster)
 
 
-def events_of(
-    arrays: Mapping[str, Any],
-    detector: Detector | str | Mapping[str, Any],
-    *,
-    errors: tuple[float, float] = CLUSTER_ERRORS,
-    every_cluster: bool = False,
-) -> Bes3Events:
-    """Return the same for collections of pybes3 that are read already.
-
-    Parameters
-    ----------
-    arrays : mapping of str to awkward.Array
-        By the names of `cgemit.bes3.events.COLLECTIONS`, such as ``"hits"`` for m_recMdcHitCol.
-    detector, errors, every_cluster
-        As for `read_events`.
-    """
-    n_events = max((len(one) for one in arrays.values()), default=0)
-    found = columns_of_events(arrays)
-    return tables_of(found, n_events, detector, errors=errors, every_cluster=every_cluster)
-
-
 def tables_of(
     found: Mapping[str, Columns],
     n_events: int,

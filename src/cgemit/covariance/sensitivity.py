@@ -30,30 +30,6 @@ from cgemit.units import NATIVE
 OTHER_ORDER = "got slabs and wires in another order than in the detector whose hits are kept, expected the same"
 
 
-class SurfacesError(ValueError):
-    """A variant that cannot have the hits of another one, since its slabs and wires are in another order."""
-
-
-def varied(base: Covariance, variants: Sequence[Detector]) -> list[Covariance]:
-    """Return the covariances of the same tracks with the same hits in variants of the detector.
-
-    Parameters
-    ----------
-    base : Covariance
-    variants : sequence of Detector
-        Which differ so little that their surfaces keep their order.
-
-    Raises
-    ------
-    SurfacesError
-        If they do not.
-    """
-    cores = [core_of(base, one) for one in variants]
-    if not all(keeps_order(base, core) for core in cores):
-        raise SurfacesError(OTHER_ORDER)
-    return with_cores(base, list(zip(variants, cores, strict=True)))
-
-
 def with_cores(base: Covariance, variants: Sequence[tuple[Detector, _core.detector.Detector]]) -> list[Covariance]:
     """Return the covariances in variants and their compiled detectors."""
     if not variants:
@@ -264,7 +240,7 @@ def logarithmic_slopes(
     Parameters
     ----------
     base : Covariance
-        Of this detector, or of a similar one (see `varied`).
+        Of this detector, or of one that differs so little that slabs and wires keep their order.
     detector : Detector
     keys, quantities : sequence of str
 

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from cgemit import _core
 from cgemit.base import isa
 from cgemit.base.arrays import Columns, Floats, Ints
-from cgemit.detector.detector import Detector, preset
+from cgemit.detector.detector import Detector
 from cgemit.detector.drift import relation_of
 from cgemit.detector.field import Axis, FieldGrid, HarmonicField, MapField, SolenoidField
-from cgemit.detector.gas import gap_columns, gap_table
+from cgemit.detector.gas import gap_table
 from cgemit.detector.keys import once
 from cgemit.detector.layers import Layer
 from cgemit.detector.layers.layer import IN_PLACE, MOST_SHEETS, Placed
@@ -370,13 +370,6 @@ def compiled(
     choice = (merge, screening, foil, gaps, matter)
     # A sweep has thousands of variants, each of which is fitted once: what is made for it goes when it goes.
     return _shared(detector, *choice) if gaps else _kept(detector, *choice)
-
-
-def forget() -> None:
-    """Forget compiled detectors, their gaps, and presets, for tests that replace what they are made with."""
-    _shared.cache_clear()
-    preset.cache_clear()
-    gap_columns.cache_clear()
 
 
 def _made(

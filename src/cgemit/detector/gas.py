@@ -806,16 +806,3 @@ def drift_columns(detector: Detector, cgem: tuple[int, ...] | None = None) -> di
     problems.report(f"{detector.name}: no electron transport for the readout")
     columns = np.array(drifts, np.float64).reshape(-1, len(LayerDrift._fields)).T
     return dict(zip(LayerDrift._fields, columns.copy(), strict=True))
-
-
-def mean_shift(layer: CgemLayer, bz: float) -> float:
-    """Return the Lorentz shift of electrons from mid-gap to the anode, mm of X.
-
-    Parameters
-    ----------
-    layer : CgemLayer
-    bz : float
-        T, signed.
-    """
-    drift = layer_drift(layer, bz)
-    return layer.r_readout * (drift.tan_lorentz * math.log(layer.r_gap_out / layer.r_mid) + drift.shift)

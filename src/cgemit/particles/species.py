@@ -56,8 +56,6 @@ def _species() -> dict[int, Species]:
 
 #: By number of the Particle Data Group.
 KNOWN: Mapping[int, Species] = MappingProxyType(_species())
-#: Stands for every particle that is not listed.
-UNKNOWN = Species("", 0, 0, 0.0, 0.0, math.inf)
 
 #: The particles that BES3 files hold fits for, in their order; charge aside.
 Hypothesis = Literal["e", "mu", "pi", "K", "p"]

@@ -8,7 +8,7 @@ import bes3_layout
 import cgemit as cg
 from cgemit import helix
 from cgemit.bes3 import events as bes3_events
-from cgemit.bes3.events import CLUSTER_ERRORS, columns_of_events, events_of, read_events
+from cgemit.bes3.events import CLUSTER_ERRORS, columns_of_events, read_events
 from cgemit.bes3.refit import refit
 from cgemit.reconstruction.fit import fit
 
@@ -29,7 +29,7 @@ def arrays(run):
 
 @pytest.fixture(scope="module")
 def events(arrays):
-    return events_of(arrays, "besiii-cgem")
+    return bes3_layout.tables_of(arrays, "besiii-cgem")
 
 
 @pytest.mark.parametrize("name", ["wire_hits", "clusters", "particles", "truths", "wire_truths"])
@@ -56,7 +56,7 @@ def test_distances_and_sides_come_back(run, events):
 
 def test_digis_come_back():
     run = cg.run("besiii-cgem", cg.Gun("pi+", p=1, cos_theta=(-0.8, 0.8)), n=5, seed=1)
-    back = events_of(bes3_layout.events_of(run), "besiii-cgem").digis
+    back = bes3_layout.tables_of(bes3_layout.events_of(run), "besiii-cgem").digis
     for column in ("event", "layer", "sheet", "view", "strip", "gid", "charge", "time"):
         np.testing.assert_allclose(back[column], run.digis[column], rtol=1e-12, err_msg=column)
     assert len(back) > 50
@@ -184,8 +184,8 @@ def test_sides_and_distances(arrays, flag, side):
 
 def test_all_clusters_of_events_with_one_track(run, arrays):
     free = ak.with_field(arrays["clusters"], -1 + 0 * arrays["clusters"]["m_trkid"], "m_trkid")
-    none = events_of(arrays | {"clusters": free}, "besiii-cgem")
-    every = events_of(arrays | {"clusters": free}, "besiii-cgem", every_cluster=True)
+    none = bes3_layout.tables_of(arrays | {"clusters": free}, "besiii-cgem")
+    every = bes3_layout.tables_of(arrays | {"clusters": free}, "besiii-cgem", every_cluster=True)
     assert (none.candidate_hits["view"] == 2).all()
     points = np.count_nonzero(run.clusters["view"] == 2)
     assert np.count_nonzero(every.candidate_hits["view"] == 3) == points
@@ -202,7 +202,7 @@ def test_fits_of_the_experiment_that_failed(run, arrays):
             column[0] = value
             lists = ak.with_field(lists, ak.unflatten(column, ak.num(lists)), name)
         arrays = {**arrays, collection: lists}
-    events = events_of(arrays, "besiii-cgem")
+    events = bes3_layout.tables_of(arrays, "besiii-cgem")
     assert (events.kal_tracks["status"][:5] == cg.FitStatus.not_converged).all()
     found = refit(events, "kal", cg.FitSettings(hypothesis="pi"))
     assert found.good.tolist() == [False] + [True] * (len(run.tracks) - 1)
@@ -214,7 +214,7 @@ def test_fits_of_the_experiment_that_failed(run, arrays):
 def test_a_missing_field(arrays):
     hits = arrays["hits"][[name for name in arrays["hits"].fields if name != "m_lr"]]
     with pytest.raises(ValueError, match="TRecEvent/m_recMdcHitCol: has no field 'm_lr'"):
-        events_of(arrays | {"hits": hits}, "besiii-cgem")
+        bes3_layout.tables_of(arrays | {"hits": hits}, "besiii-cgem")
 
 
 def test_event_numbers(events):
@@ -225,7 +225,7 @@ def test_event_numbers(events):
 
 def test_bad_input(arrays, tmp_path):
     with pytest.raises(ValueError, match=r"wire_hits: got layers .*expected those of besiii-idc") as refused:
-        events_of(arrays | {"hits": _other_layer(arrays["hits"])}, "besiii-idc", errors=(0.1, 0.0))
+        bes3_layout.tables_of(arrays | {"hits": _other_layer(arrays["hits"])}, "besiii-idc", errors=(0.1, 0.0))
     text = str(refused.value)
     assert "clusters: got layers 0, 1, 2; expected those of besiii-idc: no such layer" in text
     assert "errors: got (0.1, 0.0)" in text
@@ -237,8 +237,10 @@ def test_bad_input(arrays, tmp_path):
     with pytest.raises(ValueError, match="not a complete file of the BESIII software"):
         read_events(tmp_path / "x.rec", "besiii-cgem")
     with pytest.raises(ValueError, match="kind: got 'dst'"):
-        refit(events_of(arrays, "besiii-cgem"), "dst")
-    hitless = events_of({name: one for name, one in arrays.items() if name not in ("hits", "clusters")}, "besiii-cgem")
+        refit(bes3_layout.tables_of(arrays, "besiii-cgem"), "dst")
+    hitless = bes3_layout.tables_of(
+        {name: one for name, one in arrays.items() if name not in ("hits", "clusters")}, "besiii-cgem"
+    )
     assert (hitless.kal_tracks["candidate"] == -1).all()
     with pytest.raises(ValueError, match="got 0 sets of hits and 150"):
         refit(hitless)

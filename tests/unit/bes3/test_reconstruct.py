@@ -12,7 +12,7 @@ import pytest
 import bes3_layout
 import cgemit as cg
 from cgemit.bes3 import events as bes3_events
-from cgemit.bes3.events import events_of, read_events
+from cgemit.bes3.events import read_events
 from cgemit.bes3.reconstruct import (
     aligned_layers,
     numbered_tables,
@@ -52,7 +52,7 @@ def arrays(run, late):
 
 @pytest.fixture(scope="module")
 def found(arrays):
-    return reconstruct_events(events_of(arrays, CGEM), SETTINGS)
+    return reconstruct_events(bes3_layout.tables_of(arrays, CGEM), SETTINGS)
 
 
 def test_tracks_have_points_of_all_layers(run, found):
@@ -80,7 +80,7 @@ def test_start_times(found, late):
 
 
 def test_a_wrong_guess_is_mended(arrays, found, late):
-    events = events_of(arrays, CGEM)
+    events = bes3_layout.tables_of(arrays, CGEM)
     guess = bes3_layout.START + late + np.where(np.arange(EVENTS) % 2, 15.0, -15.0)
     again = reconstruct_events(events, SETTINGS, start_time=guess)
     np.testing.assert_allclose(again.start_times["start_time"], found.start_times["start_time"], atol=1.0)
@@ -90,7 +90,7 @@ def test_a_wrong_guess_is_mended(arrays, found, late):
 
 
 def test_clusters_of_the_file(run):
-    events = events_of(bes3_layout.events_of(run), CGEM)
+    events = bes3_layout.tables_of(bes3_layout.events_of(run), CGEM)
     ours = reconstruct_events(events, SETTINGS)
     assert ours.strip_times is None
     assert len(ours.clusters) == len(events.clusters)
@@ -105,7 +105,7 @@ def test_layers_that_are_not_where_they_should_be(arrays):
     other = CGEM.with_overrides({"cgem.L2.rotation": "-6 mrad", "cgem.L3.shift_z": "1.5 mm"})
     nominal, moved = (
         {one.label: one for one in point_offsets(events, reconstruct_events(events, SETTINGS))}
-        for events in (events_of(arrays, CGEM), events_of(arrays, other))
+        for events in (bes3_layout.tables_of(arrays, CGEM), bes3_layout.tables_of(arrays, other))
     )
     assert all(one.n > 25 for one in (*nominal.values(), *moved.values()))
     for label in ("L1", "L2", "L3"):
@@ -123,7 +123,7 @@ def test_layers_that_are_not_where_they_should_be(arrays):
 
 def test_events_without_strips_or_start(arrays):
     wires = {name: one for name, one in arrays.items() if name != "cgem_digis"}
-    events = events_of(wires, CGEM)
+    events = bes3_layout.tables_of(wires, CGEM)
     events = replace(
         events, wire_digis={name: one[events.wire_digis["event"] < 3] for name, one in events.wire_digis.items()}
     )
@@ -136,7 +136,7 @@ def test_events_without_strips_or_start(arrays):
 
 def test_tables_with_numbers_of_the_experiment(arrays, found, tmp_path):
     """Every row against the readout's own words, and the files of all formats against the columns."""
-    events = events_of(arrays, CGEM)
+    events = bes3_layout.tables_of(arrays, CGEM)
     tables = numbered_tables(events, found)
     fired = {"cgem": set(), "mdc": set()}
     for event, one in enumerate(arrays["cgem_digis"]["m_intId"].to_list()):
@@ -243,7 +243,7 @@ def raw(arrays, tmp_path, monkeypatch):
 
 
 def test_raw_files(arrays, raw):
-    events, given = read_events(raw, CGEM), events_of(arrays, CGEM)
+    events, given = read_events(raw, CGEM), bes3_layout.tables_of(arrays, CGEM)
     assert events.number.tolist() == given.number.tolist()
     for name in ("layer", "sheet", "view", "strip", "charge", "time"):
         np.testing.assert_array_equal(events.digis[name], given.digis[name])

@@ -9,7 +9,6 @@ import pytest
 import bes3_layout
 import cgemit as cg
 from cgemit.bes3 import wires as bes3_wires
-from cgemit.bes3.events import events_of
 from cgemit.detector.drift import BESIII
 
 
@@ -26,7 +25,7 @@ def arrays(run):
 
 @pytest.fixture(scope="module")
 def events(arrays):
-    return events_of(arrays, "besiii-idc")
+    return bes3_layout.tables_of(arrays, "besiii-idc")
 
 
 def reconstructed(events, wires):
@@ -121,9 +120,9 @@ def test_other_numbers_of_start_times(events):
 
 
 def test_files_without_digis(arrays):
-    bare = events_of({name: one for name, one in arrays.items() if "digis" not in name}, "besiii-idc")
+    bare = bes3_layout.tables_of({name: one for name, one in arrays.items() if "digis" not in name}, "besiii-idc")
     assert len(bes3_wires.all_wire_hits(bare)) == 0
     assert np.isnan(bes3_wires.find_start_times(bare, [656.0])).all()
     other = ak.with_field(arrays["mdc_digis"], arrays["mdc_digis"]["m_intId"] | (0x3F << 9), "m_intId")
     with pytest.raises(ValueError, match="wire_digis: got layers 63; expected those of besiii-idc"):
-        events_of(arrays | {"mdc_digis": other}, "besiii-idc")
+        bes3_layout.tables_of(arrays | {"mdc_digis": other}, "besiii-idc")

@@ -29,7 +29,7 @@ def run():
 @pytest.fixture(scope="module")
 def found(run):
     return refit(
-        bes3_events.events_of(bes3_layout.events_of(run), run.detector), "kal", cg.FitSettings(hypothesis="pi")
+        bes3_layout.tables_of(bes3_layout.events_of(run), run.detector), "kal", cg.FitSettings(hypothesis="pi")
     )
 
 
@@ -59,13 +59,13 @@ def test_displacement():
     gun = cg.Gun("mu-", p=(0.5, 1.5), cos_theta=(-0.8, 0.8))
     arrays = bes3_layout.events_of(cg.run(there, gun, n=40, seed=5, settings=settings))
     muon = cg.FitSettings(hypothesis="mu")
-    beside = refit(bes3_events.events_of(arrays, nominal), "kal", muon)
+    beside = refit(bes3_layout.tables_of(arrays, nominal), "kal", muon)
     assert np.abs(beside.columns["pull_dr"]).max() > 2
     found = displacement(beside, nominal)
     np.testing.assert_allclose(found.value, [0.08, 0.98, -0.3, 2e-3], atol=0.03)
     assert found.value[3] == pytest.approx(2e-3, abs=1e-4)
     assert (np.abs(found.value - [0.08, 0.98, -0.3, 2e-3]) < 5 * found.error).all()
-    again = refit(bes3_events.events_of(arrays, nominal.with_overrides(found.overrides)), "kal", muon)
+    again = refit(bes3_layout.tables_of(arrays, nominal.with_overrides(found.overrides)), "kal", muon)
     assert np.abs(again.columns["pull_dr"]).max() < 0.5
     few = Refit(
         beside.kind, beside.detector, beside.ours[:3], beside.boss[:3], {k: v[:3] for k, v in beside.columns.items()}

@@ -17,13 +17,13 @@ from cgemit import _core, isa
 from cgemit.analysis.quantities import QUANTITIES
 from cgemit.analysis.widths import SECOND_INSIDE, measure
 from cgemit.covariance.result import sources
-from cgemit.covariance.sensitivity import varied
 from cgemit.covariance.tracks import core_width, status_of
 from cgemit.detector import slabs
 from cgemit.detector.readouts import READOUTS
 from cgemit.fit_matter import tuned
 from cgemit.reconstruction.fit import compiled_for_fit
 from fields import HARMONIC
+from variants import varied
 
 DESIGN, CHAMBER = cg.load("besiii-cgem-design"), cg.load("besiii-idc")
 #: A beam pipe of 65 mm of beryllium: a track is also displaced inside it, by half as much as by its angle behind it.

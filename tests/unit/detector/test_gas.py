@@ -27,12 +27,12 @@ from cgemit.detector.gas import (
     gap_columns,
     ionization,
     layer_drift,
-    mean_shift,
     practical_range,
     slices,
     stopping_power,
     transport,
 )
+from lorentz import mean_shift
 from slabs import ELECTRON, MUON, PROTON
 from stats import assert_within, fraction_error, mean_error
 

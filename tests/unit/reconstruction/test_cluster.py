@@ -7,7 +7,6 @@ import gem_toy
 from cgemit import FitSettings, Gun, Settings, TigerReadout, _core, run
 from cgemit.detector import load
 from cgemit.detector.core import layer_table
-from cgemit.detector.gas import mean_shift
 from cgemit.detector.layers.cgem import strips_of_v
 from cgemit.draw.cluster import crossing
 from cgemit.reconstruction.cluster import cluster
@@ -16,6 +15,7 @@ from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
 from cgemit.simulation.digitize import digitize
 from cgemit.tables import Table
 from cgemit.truth.assign import own_clusters, residuals
+from lorentz import mean_shift
 from stats import assert_within
 
 PITCH = 0.65

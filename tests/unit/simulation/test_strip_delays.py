@@ -15,6 +15,7 @@ from cgemit.detector.gas import cluster_sizes, ionization
 from cgemit.detector.induction import WAY, charges_of_plane, induced_charge
 from cgemit.detector.readouts import APV25, TIGER, AnalogReadout, Shaper, chip_arguments
 from cgemit.reconstruction.cluster_errors import chip_delays
+from pulses import response
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def pulse_of(shaper: Shaper, spread: float) -> tuple[Floats, Floats]:
     """Return times and amplitudes of a charge of 1 that arrives evenly within a time."""
     step = 0.05  # ns
     t = np.arange(0, 900, step)
-    found = shaper.response(t)
+    found = response(shaper, t)
     for length in (DURATION, spread) if spread > 0 else (DURATION,):
         found = fftconvolve(found, np.full(round(length / step), step / length))[: len(t)]
     return t + step, found
@@ -96,7 +97,7 @@ def test_tracks_whose_ionization_fluctuates() -> None:
     found = delays(TigerReadout(), tracks, slopes, pitch=pitch, gap=gap, width=width)
     step = 0.5
     t = np.arange(0.0, 900.0, step)
-    responses = [shaper.response(t + step / 2) for shaper in (TIGER.timing, TIGER.charge)]
+    responses = [response(shaper, t + step / 2) for shaper in (TIGER.timing, TIGER.charge)]
     for slope, row in zip(slopes, found, strict=True):
         times, weights = [], []
         for i in range(30):

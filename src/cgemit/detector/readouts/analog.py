@@ -58,40 +58,6 @@ class Shaper:
         times = np.arange(0.0, 500.0, _FINE)
         return self.delay + float(times[_sum(self.normalised, times).argmax()])
 
-    def response(self, t: Floats) -> Floats:
-        """Return the amplitude, (n,) float64, at times t, (n,) float64 ns, after a charge of 1."""
-        u = np.asarray(t, np.float64) - self.delay
-        return np.where(u > 0, _sum(self.normalised, np.maximum(u, 0.0)), 0.0)
-
-    def pulse(self, t: Floats, duration: float, parts: Floats | None = None) -> Floats:
-        """Return the amplitude for a charge of 1 that flows in for `duration` ns.
-
-        Parameters
-        ----------
-        t : (n,) float64
-            ns, after the begin.
-        duration : float
-            ns.
-        parts : (..., parts) float64 or None
-            Charge in equal parts of the duration; None: it flows in evenly.
-
-        Returns
-        -------
-        ndarray, (..., n) float64
-        """
-        parts = np.ones(1) if parts is None else parts
-        step = duration / parts.shape[-1]
-        u = np.asarray(t, np.float64) - self.delay
-        level = np.array([self._step(u - k * step) for k in range(parts.shape[-1] + 1)])
-        return np.asarray(parts @ (level[:-1] - level[1:]) / step)
-
-    def _step(self, u: Floats) -> Floats:
-        """Return the integral of the response up to u, (n,), in ns."""
-        a, b, rate = (column[:, None] for column in self.normalised.T)
-        at = np.maximum(u, 0.0)[None, :]
-        level = a / rate + b / rate**2
-        return np.asarray(np.sum(level - np.exp(-rate * at) * (level + b * at / rate), axis=0))
-
 
 def _sum(terms: Floats, u: Floats) -> Floats:
     a, b, rate = (column[:, None] for column in terms.T)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from cgemit.base.arrays import Floats
 from cgemit.detector import ReadoutGroup, compiled
 from cgemit.detector.core import strip_gains, strip_lists
 from cgemit.detector.gas import drift_columns
-from cgemit.detector.readouts import AnalogReadout, ChargeReadout, Estimator, ProjectionReadout
+from cgemit.detector.readouts import AnalogReadout, ChargeReadout, ProjectionReadout
 from cgemit.reconstruction.cluster_errors import (
     COS_THETA,
     ErrorInputs,
@@ -28,15 +28,7 @@ from cgemit.units import LIGHT
 
 
 class ChargeClusterer(Clusterer):
-    """Makes clusters whose positions and errors come from the charge of their strips.
-
-    Attributes
-    ----------
-    estimators : tuple of str
-        Positions that a cluster can have.
-    """
-
-    estimators: ClassVar[tuple[Estimator, ...]]
+    """Makes clusters whose positions and errors come from the charge of their strips."""
 
     readout: ChargeReadout
 
@@ -147,8 +139,6 @@ class ChargeClusterer(Clusterer):
 class ProjectionClusterer(ChargeClusterer):
     """Takes the centroid of the charge: there is no time, and no drift."""
 
-    estimators = ("centroid",)
-
     readout: ProjectionReadout
 
     def strip_rules(self, group: ReadoutGroup) -> dict[str, Any]:
@@ -167,8 +157,6 @@ class ProjectionClusterer(ChargeClusterer):
 
 class ChargeTimeClusterer(ChargeClusterer):
     """Takes the centroid of the charge, a line through the drift gap, or the line through the charge."""
-
-    estimators = ("centroid", "micro-tpc", "merged")
 
     readout: AnalogReadout
 

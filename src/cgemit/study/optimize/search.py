@@ -214,7 +214,7 @@ class Descent:
     def slopes(self, point: Point) -> tuple[Floats, Floats]:
         """Return the derivatives of the logarithm of the objective, (variables,), and of the margins.
 
-        Resolutions are those of the same tracks with the hits of this design in all of its neighbours (`varied`), so
+        Resolutions are those of the same tracks with the hits of this design in all of its neighbours, so
         that they are smooth.
         """
         self.gradients += 1

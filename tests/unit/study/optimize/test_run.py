@@ -15,13 +15,13 @@ import pytest
 import cgemit as cg
 from cgemit.base.errors import Problems
 from cgemit.cli.main import main
-from cgemit.covariance.sensitivity import varied
 from cgemit.detector import inventory
 from cgemit.study import Background, Optimization, PlanError, Search, optimize, sobol, sweep
 from cgemit.study.optimize.goals import Goals, Variable, goal_of, limits_of, variables_of
 from cgemit.study.optimize.run import KEYS, read_optimize_plan
 from cgemit.study.optimize.search import Descent, Design, Evaluator, rounded, with_failures
 from cgemit.study.sweep.evaluate import Evaluation
+from variants import varied
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
