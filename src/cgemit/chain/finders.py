@@ -1,16 +1,19 @@
-"""The finders of a run. `FINDERS` lists them by name."""
+"""The finders of a run: by truth, and those of `HIT_FINDERS`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
+from cgemit.chain.settings import Settings
 from cgemit.detector import Detector
 from cgemit.reconstruction.candidates import Finder
-from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
-from cgemit.reconstruction.fit import FitSettings
+from cgemit.reconstruction.finders import HIT_FINDERS
 from cgemit.tables import Table
 from cgemit.truth.finder import by_truth
+
+#: Names of finders.
+FINDERS = ("truth", *HIT_FINDERS)
 
 
 class Truths(NamedTuple):
@@ -22,7 +25,9 @@ class Truths(NamedTuple):
     wire_truths: Table
 
 
-def _truth(settings: FindSettings, fit: FitSettings, truths: Truths) -> Finder:
+def truth_finder(truths: Truths) -> Finder:
+    """Return the finder that gives each charged particle its own hits."""
+
     def truth(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
         # Clusters may be those of another detector than the simulated one.
         function = by_truth.unchecked if detector == truths.detector else by_truth
@@ -31,12 +36,18 @@ def _truth(settings: FindSettings, fit: FitSettings, truths: Truths) -> Finder:
     return truth
 
 
-def _ckf(settings: FindSettings, fit: FitSettings, truths: Truths) -> Finder:
-    def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
-        return find_tracks.unchecked(detector, clusters, wire_hits, settings, fit=fit)
+def seedless_layers(finder: str | None, detector: Detector, settings: Settings) -> str:
+    """Return in which layers no track of a finder can begin, as text; empty if it says nothing of them.
 
-    return ckf
-
-
-#: Finders by name: functions that make one from the settings of finder and fit, and the truths of a run.
-FINDERS: dict[str, Callable[[FindSettings, FitSettings, Truths], Finder]] = {"truth": _truth, "ckf": _ckf}
+    Parameters
+    ----------
+    finder : str or None
+        Its name, also of a function.
+    detector : Detector
+        Of the reconstruction.
+    settings : Settings
+    """
+    if finder not in HIT_FINDERS:
+        return ""
+    named = HIT_FINDERS[finder]
+    return named.seedless(detector, getattr(settings, named.stage))

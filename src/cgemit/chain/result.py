@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cgemit.base.files import new_folder
+from cgemit.chain.finders import seedless_layers
 from cgemit.chain.record import Run, gun_data, read_run, record, write_about
 from cgemit.chain.settings import (
     EVERY_RUN,
@@ -24,7 +25,7 @@ from cgemit.chain.settings import (
 )
 from cgemit.detector import Detector
 from cgemit.particles.gun import Guns, Source
-from cgemit.reconstruction.find.ckf import BEYOND, seedless
+from cgemit.reconstruction.find.ckf import BEYOND
 from cgemit.simulation.transport import transport_counts
 from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.check import refuse_wrong
@@ -354,7 +355,7 @@ class Result:
             rows.append(("hits", hits_by(self.finder)))
         if self.mass is not None:
             rows.append(("mass", self.mass))
-        if self.finder == "ckf" and (missing := seedless(self.fit_detector or self.detector, self.settings.find)):
+        if missing := seedless_layers(self.finder, self.fit_detector or self.detector, self.settings):
             rows.append(("seeds", missing))
         if beyond := self.beyond_search():
             rows.append(("search", f"{beyond:,} {'event' if beyond == 1 else 'events'} beyond the search"))

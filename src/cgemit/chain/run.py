@@ -30,7 +30,7 @@ from cgemit.chain.executor import (
     check_memory,
     chunk_for,
 )
-from cgemit.chain.finders import FINDERS, Truths
+from cgemit.chain.finders import FINDERS, Truths, truth_finder
 from cgemit.chain.record import table_meta, write_about
 from cgemit.chain.result import Result
 from cgemit.chain.result import open as open_run
@@ -55,7 +55,7 @@ from cgemit.particles.gun import Guns, Source, generate, source_of
 from cgemit.particles.samples import EventSample
 from cgemit.reconstruction.candidates import Finder, finder_name
 from cgemit.reconstruction.cluster import cluster, clusterer_of, warn_of_losses
-from cgemit.reconstruction.find.ckf import warn_of_no_seeds
+from cgemit.reconstruction.finders import HIT_FINDERS
 from cgemit.reconstruction.reconstruct import turns
 from cgemit.reconstruction.refine import Hits
 from cgemit.simulation.background import add_background
@@ -284,8 +284,11 @@ def finder_of_run(job: Job, truths: Truths) -> Finder:
     """Return the finder of a run: a function, or the one of this name."""
     if callable(job.finder):
         return job.finder
-    settings, source = job.settings, job.source
-    return FINDERS[job.finder](find_settings(settings, source, job.given), fit_settings(settings, source), truths)
+    if job.finder == "truth":
+        return truth_finder(truths)
+    named, settings, source = HIT_FINDERS[job.finder], job.settings, job.source
+    own = find_settings(settings, source, job.given, named.stage)
+    return named.of(own, fit_settings(settings, source), check=False)
 
 
 def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:
@@ -361,8 +364,9 @@ def _checked(
     problems.report("run")
     if until in STAGES[2:]:
         warn_of_losses(simulated)
-    if until in STAGES[3:] and finder == "ckf":
-        warn_of_no_seeds(assumed, wanted.find)
+    if until in STAGES[3:] and isinstance(finder, str) and finder in HIT_FINDERS:
+        named = HIT_FINDERS[finder]
+        named.warn(assumed, getattr(wanted, named.stage))
     shooter, n_events, table, events = source
     wanted = _with_flight(wanted, shooter, table)
     return Job(simulated, assumed, shooter, table, events, wanted, seed, finder, until, kept_tables), n_events

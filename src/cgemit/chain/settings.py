@@ -84,7 +84,9 @@ def fit_settings(settings: Settings, source: Source | Guns | None = None) -> Fit
     )
 
 
-def find_settings(settings: Settings, source: Source | Guns | None = None, given: Table | None = None) -> FindSettings:
+def find_settings(
+    settings: Settings, source: Source | Guns | None = None, given: Table | None = None, stage: str = "find"
+) -> Any:
     """Return the settings of the finder; a hypothesis of None becomes the particle that is shot, if of one kind.
 
     Parameters
@@ -94,8 +96,10 @@ def find_settings(settings: Settings, source: Source | Guns | None = None, given
         What shoots the particles.
     given : Table of kind "particles", or None
         All particles of the run, if nothing shoots them.
+    stage : str
+        Field of the finder's settings.
     """
-    find, kind = settings.find, only_kind(source, given)
+    find, kind = getattr(settings, stage), only_kind(source, given)
     own = hypothesis_name(kind) if kind is not None and kind in KNOWN else None
     return replace(find, hypothesis=find.hypothesis or own)
 

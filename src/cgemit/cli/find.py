@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cgemit.base.version import __version__
 from cgemit.cli import options
-from cgemit.cli.simulate import add_gun, gun_of
+from cgemit.cli.simulate import add_finder, add_gun, gun_of
 
 if TYPE_CHECKING:
     from cgemit.analysis.finding import Finding, LoopLinks
@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--tracks", type=options.positive, default=1, metavar="N", help="such particles in every event (default 1)"
     )
     parser.add_argument("-n", "--events", type=options.positive, required=True, metavar="N", help="number of events")
-    parser.add_argument("--finder", metavar="NAME", default="ckf", help="truth, or ckf (default)")
+    add_finder(parser, default="ckf")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     options.add_output(parser, "folder for the efficiency and summary.json")
     options.add_readout(parser)
@@ -63,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.analysis.finding import finding, loop_links
     from cgemit.base.files import check_free
     from cgemit.chain import run
+    from cgemit.chain.finders import seedless_layers
     from cgemit.particles.gun import Guns
-    from cgemit.reconstruction.find.ckf import seedless
 
     if arguments.output:
         check_free(arguments.output, overwrite=arguments.overwrite)
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output:
         _write(result_of_finding, text, arguments.output, overwrite=arguments.overwrite)
     rows = [] if linked is None else linked.rows()
-    missing = seedless(result.fit_detector or result.detector, settings.find) if result.finder == "ckf" else ""
+    missing = seedless_layers(result.finder, result.fit_detector or result.detector, settings)
     rows += [("layers without seeds", missing)] * bool(missing)
     rows.append(("events beyond the search", f"{result.beyond_search():,}"))
     rows.append(("time of an event", f"{1e3 * seconds / arguments.events:.2f} ms"))

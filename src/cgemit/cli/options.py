@@ -414,7 +414,7 @@ def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) ->
     parser.add_argument(
         "--hypothesis", metavar="NAME,..." if several else "NAME", type=names,
         help="fit with the mass of e, mu, pi, K or p (fit.hypothesis) instead of that of the candidates: their "
-        "particle's, or with the finder ckf that of find.hypothesis"
+        "particle's, or that which the finder assumes (find.hypothesis)"
         + ("; several, or all: one track for each" if several else ""),
     )  # fmt: skip
 

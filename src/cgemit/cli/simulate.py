@@ -83,11 +83,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_common(parser)
 
 
-def add_finder(parser: argparse.ArgumentParser, *, more: str = "") -> None:
-    """Add the option of the finder, with `more` help."""
+def add_finder(parser: argparse.ArgumentParser, *, default: str | None = None, more: str = "") -> None:
+    """Add the option of the finder, with `more` help; without a default the commands take truth."""
+    from cgemit.chain.finders import FINDERS
+
+    names = (f"{name} (default)" if name == (default or "truth") else name for name in FINDERS)
     parser.add_argument(
-        "--finder", metavar="NAME",
-        help=f"assigns the hits to tracks: truth (default), or ckf, which sees measurements only{more}",
+        "--finder", metavar="NAME", default=default,
+        help=f"assigns the hits to tracks: {', '.join(names)}; all but truth see measurements only{more}",
     )  # fmt: skip
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cgemit import _core, helix
 from cgemit.base.arrays import Column, Columns
 from cgemit.base.errors import Problem, Problems, did_you_mean
+from cgemit.base.settings import SettingsData
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.layers.layer import crossing_z, local_v
 from cgemit.detector.parts import cgem_numbers
@@ -18,7 +18,7 @@ from cgemit.particles.species import HYPOTHESES
 from cgemit.reconstruction.candidates import Finder, check_found, label_candidates
 from cgemit.reconstruction.clusterers.binary import cluster_errors
 from cgemit.reconstruction.clusterers.clusterer import ClusterSettings
-from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
+from cgemit.reconstruction.finders import HIT_FINDERS
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import RefineSettings, refinements
@@ -256,12 +256,12 @@ def fit_hits(
     clusters: Any = None,
     wire_hits: Any = None,
     *,
-    candidates: Finder | Literal["ckf"] | Mapping[str, Table] | None = None,
+    candidates: Finder | str | Mapping[str, Table] | None = None,
     hypothesis: str = "mu",
     settings: FitSettings | None = None,
     refine: RefineSettings | None = None,
     cluster: ClusterSettings | None = None,
-    find: FindSettings | None = None,
+    find: SettingsData | None = None,
 ) -> dict[str, Table]:
     """Fit tracks to hits of any origin, given as columns in any order of rows; what is not needed may be left out.
 
@@ -275,8 +275,8 @@ def fit_hits(
         `err`, or `err_x` and `err_v`, mm. Strips need none. `sheet` is needed where a layer has two, but for points.
     wire_hits : Table, mapping of arrays, pandas.DataFrame, pyarrow.Table, structured ndarray or None
         Rows with `layer`, `wire`, `drift` mm; `sigma` mm (default: the detector's), `side` (+1, -1; 0 unknown).
-    candidates : "ckf", callable, mapping of str to Table, or None
-        A finder as for `run` ("ckf" is `find_tracks`), or the tables ``candidates`` and ``candidate_hits`` for hits
+    candidates : str, callable, mapping of str to Table, or None
+        A finder as for `run`, but not ``"truth"``, or the tables ``candidates`` and ``candidate_hits`` for hits
         that are tables. None: the column `candidate` of the hits, a number within the event (below 0: none), or all
         hits of an event together.
     hypothesis : str
@@ -287,7 +287,7 @@ def fit_hits(
     cluster : ClusterSettings or None
         Reference sample for the errors of clusters that are given by their strips.
     find : FindSettings or None
-        Of the finder, only with ``candidates="ckf"``.
+        Of the finder, only with a name as `candidates`.
 
     Returns
     -------
@@ -313,15 +313,17 @@ def fit_hits(
     problems = Problems()
     if not isinstance(hypothesis, str) or hypothesis not in HYPOTHESES:
         problems.note("hypothesis", repr(hypothesis), f"one of {', '.join(map(repr, HYPOTHESES))}")
-    if isinstance(candidates, str) and candidates != "ckf":
-        problems.note("candidates", repr(candidates), "'ckf', a finder, tables or None")
-    if find is not None and not isinstance(candidates, str):
-        problems.note("find", "settings of the finder", "None unless candidates is 'ckf'")
-    how, sought, fitted = RefineSettings.of(refine, "refine"), FindSettings.of(find, "find"), FitSettings.of(settings)
+    how, fitted = RefineSettings.of(refine, "refine"), FitSettings.of(settings)
+    names = " or ".join(map(repr, HIT_FINDERS))
+    if isinstance(candidates, str) and candidates in HIT_FINDERS:
+        named = HIT_FINDERS[candidates]
+        candidates = named.of(named.settings.of(find, "find"), fitted)
+    elif isinstance(candidates, str):
+        problems.note("candidates", repr(candidates), f"{names}, a finder, tables or None")
+    elif find is not None:
+        problems.note("find", "settings of the finder", f"None unless candidates is {names}")
     hits = hit_tables(detector, clusters, wire_hits, problems, labelled=candidates is None, settings=cluster)
-    if candidates == "ckf":
-        candidates = partial(find_tracks, settings=sought, fit=fitted)
-    elif candidates is None:
+    if candidates is None:
         labels = [part["candidate"] if "candidate" in part else np.zeros(len(part), np.int64) for part in hits]
         candidates = label_candidates(*hits, labels[0], labels[1], hypothesis)
     tables = None if callable(candidates) else check_found(candidates, "given", hits[0])
