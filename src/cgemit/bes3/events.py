@@ -53,7 +53,7 @@ def clusters(of: dict[str, npt.NDArray[np.generic]]) -> dict[str, npt.NDArray[np
     return {name: one for name, one in of.items() if name != "m_recpositiony"} | right | {"m_clusterflag": flag}
 
 
-def upper_triangles(given: npt.ArrayLike) -> Floats:
+def upper_triangles(matrices: npt.ArrayLike) -> Floats:
     """Return covariances of MdcTrack, (n, 5, 5).
 
     The software writes the upper triangle row by row (DstMdcTrack::setError), pybes3 fills the lower one row by row.
@@ -61,10 +61,10 @@ def upper_triangles(given: npt.ArrayLike) -> Floats:
 
     Parameters
     ----------
-    given : array_like, (n, 5, 5) float64
+    matrices : array_like, (n, 5, 5) float64
         As pybes3 returns them.
     """
-    filled = np.array(given, np.float64).reshape(-1, 5, 5)
+    filled = np.array(matrices, np.float64).reshape(-1, 5, 5)
     below, above = np.tril_indices(5), np.triu_indices(5)
     moved = np.zeros_like(filled)
     moved[:, above[0], above[1]] = filled[:, below[0], below[1]]
@@ -192,9 +192,9 @@ def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
     ValueError
         If a collection lacks a field that is read.
     """
-    found: dict[str, Columns] = {}
+    tables: dict[str, Columns] = {}
     if {"run", "number"} <= arrays.keys():
-        found["events"] = {name: np.asarray(arrays[name], np.int64) for name in ("run", "number")}
+        tables["events"] = {name: np.asarray(arrays[name], np.int64) for name in ("run", "number")}
     makers = {
         "hits": ("wire_hits", _wire_hits), "clusters": ("clusters", _clusters),
         "mdc_tracks": ("mdc_tracks", _mdc_tracks), "kal_tracks": ("kal_tracks", _kal_tracks),
@@ -208,12 +208,12 @@ def columns_of_events(arrays: Mapping[str, Any]) -> dict[str, Columns]:
         if not flat:
             continue
         try:
-            found[table] = {"event": flat["event"], **make(flat)}
+            tables[table] = {"event": flat["event"], **make(flat)}
         except KeyError as error:
             raise ValueError(
                 f"{COLLECTIONS[name][0]}: has no field {error}; expected the classes of 7.0 to 7.2"
             ) from error
-    return found
+    return tables
 
 
 def _flat(lists: Any) -> Columns:
@@ -464,7 +464,7 @@ def read_events(
 
 
 def tables_of(
-    found: Mapping[str, Columns],
+    tables: Mapping[str, Columns],
     n_events: int,
     detector: Detector | str | Mapping[str, Any],
     *,
@@ -473,30 +473,30 @@ def tables_of(
 ) -> Bes3Events:
     """Return the tables of the columns that `cgemit.bes3.events` reads; arguments as for `read_events`."""
     detector = load(detector)
-    _check(found, detector, errors)
-    clusters = _cluster_columns(detector, found.get("clusters"), errors)
-    wires = found.get("wire_hits")
+    _check(tables, detector, errors)
+    clusters = _cluster_columns(detector, tables.get("clusters"), errors)
+    wires = tables.get("wire_hits")
     if every_cluster and clusters is not None and wires is not None:
         clusters["candidate"] = _of_the_only_track(clusters, wires)
     hits = hit_tables(detector, clusters, wires, Problems(), events=np.arange(n_events))
     numbers = [_track_numbers(hits[i], given) for i, given in enumerate((clusters, wires))]
     named = label_candidates(hits[0], hits[1], numbers[0], numbers[1])
     cover = {"n_events": n_events, "events": hits[0].cover["events"]}
-    events = found.get("events", dict.fromkeys(("run", "number"), np.zeros(n_events, np.int64)))
-    tracks = {name: _track_table(found.get(name), named, detector, cover) for name in ("mdc_tracks", "kal_tracks")}
-    fired = _fired(found.get("wire_digis"), wires)
-    simulated = {name: _filled(name, found.get(name), detector, cover) for name in ("truths", "wire_truths", "digis")}
+    events = tables.get("events", dict.fromkeys(("run", "number"), np.zeros(n_events, np.int64)))
+    tracks = {name: _track_table(tables.get(name), named, detector, cover) for name in ("mdc_tracks", "kal_tracks")}
+    fired = _fired(tables.get("wire_digis"), wires)
+    simulated = {name: _filled(name, tables.get(name), detector, cover) for name in ("truths", "wire_truths", "digis")}
     start_time = np.full(n_events, np.nan)
-    if "start_times" in found:
-        event, first = np.unique(found["start_times"]["event"], return_index=True)
-        start_time[event] = found["start_times"]["start_time"][first]
+    if "start_times" in tables:
+        event, first = np.unique(tables["start_times"]["event"], return_index=True)
+        start_time[event] = tables["start_times"]["start_time"][first]
     return Bes3Events(
         detector=detector,
         run=events["run"],
         number=events["number"],
         clusters=hits[0].with_columns(track=numbers[0]),
         wire_hits=hits[1].with_columns(track=numbers[1]),
-        particles=_particle_table(found.get("particles"), n_events),
+        particles=_particle_table(tables.get("particles"), n_events),
         start_time=start_time,
         wire_digis=fired,
         **named,
@@ -518,14 +518,14 @@ def _fired(given: Columns | None, wires: Columns | None) -> Columns:
     return fired | {"track": np.array([tracks.get(cell, -1) for cell in cells], np.int64)}
 
 
-def _check(found: Mapping[str, Columns], detector: Detector, errors: tuple[float, float]) -> None:
+def _check(tables: Mapping[str, Columns], detector: Detector, errors: tuple[float, float]) -> None:
     """Raise an error that lists the layers of hits that the detector does not have, and wrong errors."""
     chamber = detector.drift_chamber.layers if detector.drift_chamber else ()
     wires = [layer.number for layer in chamber]
     known = {"wire_hits": wires, "wire_digis": wires, "clusters": list(range(len(detector.cgem)))}
     problems = []
     for name, layers in known.items():
-        given = np.unique(found[name]["layer"]) if name in found else np.zeros(0, np.int64)
+        given = np.unique(tables[name]["layer"]) if name in tables else np.zeros(0, np.int64)
         other = sorted(set(given.tolist()) - set(layers))
         if other:
             has = f"layers {layers[0]} to {layers[-1]}" if layers else "no such layer"
@@ -537,11 +537,11 @@ def _check(found: Mapping[str, Columns], detector: Detector, errors: tuple[float
     report("events of the BESIII software", problems)
 
 
-def _cluster_columns(detector: Detector, given: Columns | None, errors: tuple[float, float]) -> Columns | None:
+def _cluster_columns(detector: Detector, clusters: Columns | None, errors: tuple[float, float]) -> Columns | None:
     """Return clusters with X on the sheet and errors, as `hit_tables` takes them."""
-    if given is None:
+    if clusters is None:
         return None
-    columns = dict(given)
+    columns = dict(clusters)
     starts = np.array([(*layer.sheet_phi, *layer.sheet_phi)[:2] for layer in detector.cgem]).reshape(-1, 2)
     radius = np.array([layer.r_readout for layer in detector.cgem])[columns["layer"]]
     start = starts[columns["layer"], np.clip(columns["sheet"], 0, 1)]
@@ -568,21 +568,21 @@ def _track_numbers(table: Table, given: Columns | None) -> Column:
     return np.zeros(0, np.int64) if given is None else given["candidate"][table["given_row"]].astype(np.int64)
 
 
-def _track_table(given: Columns | None, named: Mapping[str, Table], detector: Detector, cover: dict[str, Any]) -> Table:
+def _track_table(fits: Columns | None, named: Mapping[str, Table], detector: Detector, cover: dict[str, Any]) -> Table:
     """Return tracks with the rows of the candidates that have their hits."""
-    if given is None:
+    if fits is None:
         return Table.empty("tracks", **cover)
     candidates, of_hits = named["candidates"], named["candidate_hits"]
     row = {key: i for i, key in enumerate(zip(candidates["event"], candidates["candidate"], strict=True))}
-    keys = zip(given["event"], given["candidate"], strict=True)
+    keys = zip(fits["event"], fits["candidate"], strict=True)
     candidate = np.array([row.get(key, -1) for key in keys], np.int64).reshape(-1)
     wire = of_hits["view"] == HIT_WIRE
     counts = [np.bincount(of_hits["candidate"][mine], minlength=len(candidates) + 1) for mine in (~wire, wire)]
-    fitted, cov = given["helix"], given["cov"]
+    fitted, cov = fits["helix"], fits["cov"]
     with np.errstate(invalid="ignore"):  # fits that failed
         error = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    columns: dict[str, npt.ArrayLike] = {name: given[name] for name in ("event", "hypothesis", "chi2", "ndf", "cov")}
-    columns |= {"candidate": candidate, "track": given["candidate"], "p": helix.momentum(fitted)}
+    columns: dict[str, npt.ArrayLike] = {name: fits[name] for name in ("event", "hypothesis", "chi2", "ndf", "cov")}
+    columns |= {"candidate": candidate, "track": fits["candidate"], "p": helix.momentum(fitted)}
     columns["charge"] = np.ones(len(fitted), np.int8)  # that BOSS assumes
     columns |= {name: fitted[:, i] for i, name in enumerate(helix.PARAMETERS)}
     columns |= {f"err_{name}": error[:, i] for i, name in enumerate(helix.PARAMETERS)}
@@ -593,7 +593,7 @@ def _track_table(given: Columns | None, named: Mapping[str, Table], detector: De
         "displaced": displaced(fitted[:, 0], error[:, 0], detector),
     }
     columns |= momentum_limits(np.asarray(columns["p"]), np.asarray(columns["err_p"]))
-    columns["status"] = np.where(given["ok"], FitStatus.ok, FitStatus.not_converged)
+    columns["status"] = np.where(fits["ok"], FitStatus.ok, FitStatus.not_converged)
     return Table(
         "tracks",
         columns
@@ -603,20 +603,20 @@ def _track_table(given: Columns | None, named: Mapping[str, Table], detector: De
     )
 
 
-def _particle_table(given: Columns | None, n_events: int) -> Table:
+def _particle_table(generated: Columns | None, n_events: int) -> Table:
     """Return the generated particles that we know; quarks and resonances are left out."""
-    if given is None:
+    if generated is None:
         return Table.empty("particles", n_events)
-    moves = (given["px"] != 0) | (given["py"] != 0) | (given["pz"] != 0)
-    known = np.isin(given["pdg"], list(KNOWN)) & moves
-    return particles_from({name: one[known] for name, one in given.items()}, n_events=n_events, first_event=0)
+    moves = (generated["px"] != 0) | (generated["py"] != 0) | (generated["pz"] != 0)
+    known = np.isin(generated["pdg"], list(KNOWN)) & moves
+    return particles_from({name: one[known] for name, one in generated.items()}, n_events=n_events, first_event=0)
 
 
-def _filled(kind: str, given: Columns | None, detector: Detector, cover: dict[str, Any]) -> Table:
+def _filled(kind: str, rows: Columns | None, detector: Detector, cover: dict[str, Any]) -> Table:
     """Return a table of truth or digis, with the columns that follow from others; empty if the file has none."""
-    if given is None or not len(given["event"]):
+    if rows is None or not len(rows["event"]):
         return Table.empty(kind, **cover)
-    n, columns = len(given["event"]), dict(given)
+    n, columns = len(rows["event"]), dict(rows)
     if kind == "truths":
         columns["r"] = np.array([layer.r_mid for layer in detector.cgem])[columns["layer"]]
     if kind == "digis":

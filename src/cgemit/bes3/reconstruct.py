@@ -86,22 +86,22 @@ def reconstruct_events(
     made, start = _steady(events, _guess(events, start_time), settings)
     of_wires = made["start_times"]
     wires = all_wire_hits(events, start)
-    found: dict[str, Table] = {"digis": events.digis, "wire_hits": wires, "clusters": events.clusters}
+    tables: dict[str, Table] = {"digis": events.digis, "wire_hits": wires, "clusters": events.clusters}
     if points == "strips" or (points is None and not len(events.clusters)):
         known = 0
         while (fitted := _fitted(made)).sum() > known:  # clusters may give further events a start time
             known = fitted.sum()
-            found |= _of_strips(events, settings, np.where(fitted, start + made["start_times"]["start_time"], np.nan))
-            made = _tracks(events, found["clusters"], wires, settings)
+            tables |= _of_strips(events, settings, np.where(fitted, start + made["start_times"]["start_time"], np.nan))
+            made = _tracks(events, tables["clusters"], wires, settings)
     elif len(events.clusters):
         made = _tracks(events, events.clusters, wires, settings)
-    found |= made | {"start_times": _absolute(made["start_times"], of_wires, start)}
+    tables |= made | {"start_times": _absolute(made["start_times"], of_wires, start)}
     detector = events.detector
     about = table_meta(detectors_of(detector, None), settings, 0, None)
     seconds = time.perf_counter() - begin
     return Result(
         detector=detector, gun=None, seed=0, settings=settings, timings={"find": seconds, "wall": seconds},
-        tables={name: found[name].with_meta(**about) for name in TABLES if name in found},
+        tables={name: tables[name].with_meta(**about) for name in TABLES if name in tables},
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def point_offsets(events: Bes3Events, result: Result) -> list[PointOffset]:
     """
     made = _tracks(events, events.clusters[:0], result.wire_hits, result.settings)
     tracks, points = made["tracks"][is_fitted(made["tracks"])], result.clusters[result.clusters["view"] == XV_CLUSTER]
-    found = []
+    offsets = []
     for number in cgem_numbers(events.detector):
         layer = events.detector.layers[number]
         at = crossings_of(events.detector, tracks, number)
@@ -157,14 +157,14 @@ def point_offsets(events: Bes3Events, result: Result) -> list[PointOffset]:
             if near.any():
                 best = np.flatnonzero(near)[np.hypot(dx / NEAR[0], dz / NEAR[1])[near].argmin()]
                 away.append((dx[best], dz[best]))
-        given = np.array(away).reshape(-1, 2)
-        n = len(given)
+        distances = np.array(away).reshape(-1, 2)
+        n = len(distances)
         enough = n > 1
-        mean = given.mean(axis=0) if enough else np.full(2, np.nan)
-        error = given.std(axis=0, ddof=1) / np.sqrt(n) if enough else np.full(2, np.nan)
+        mean = distances.mean(axis=0) if enough else np.full(2, np.nan)
+        error = distances.std(axis=0, ddof=1) / np.sqrt(n) if enough else np.full(2, np.nan)
         numbers = (float(mean[0]), float(error[0]), float(mean[1]), float(error[1]))
-        found.append(PointOffset(layer.label, n, *numbers))
-    return found
+        offsets.append(PointOffset(layer.label, n, *numbers))
+    return offsets
 
 
 def aligned_layers(detector: Detector, offsets: Sequence[PointOffset]) -> Detector:
@@ -180,11 +180,11 @@ def aligned_layers(detector: Detector, offsets: Sequence[PointOffset]) -> Detect
         Layers with fewer than two tracks stay.
     """
     changes: dict[str, object] = {}
-    for one in offsets:
-        if one.n > 1:
-            layer = detector.cgem[one.label]
-            changes[f"cgem.{one.label}.rotation"] = f"{layer.rotation - one.x / layer.r_readout:.6g} rad"
-            changes[f"cgem.{one.label}.shift_z"] = f"{layer.shift_z - one.z:.6g} mm"
+    for offset in offsets:
+        if offset.n > 1:
+            layer = detector.cgem[offset.label]
+            changes[f"cgem.{offset.label}.rotation"] = f"{layer.rotation - offset.x / layer.r_readout:.6g} rad"
+            changes[f"cgem.{offset.label}.shift_z"] = f"{layer.shift_z - offset.z:.6g} mm"
     return detector.with_overrides(changes)
 
 

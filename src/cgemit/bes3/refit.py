@@ -65,15 +65,15 @@ class Refit:
         ``error_ratio``: the median of our error over theirs.
         """
         of = {name: one[self.good] for name, one in self.columns.items()}
-        found = {}
+        summary = {}
         for name in PARAMETERS:
             ratio, diff = of[f"err_{name}"] / of[f"boss_err_{name}"], QUANTITIES[name].factor * of[f"diff_{name}"]
-            found[name] = {
+            summary[name] = {
                 "unit": QUANTITIES[name].unit, "diff": _middle(diff), "diff_width": _width(diff),
                 "pull": _middle(of[f"pull_{name}"]), "pull_width": _width(of[f"pull_{name}"]),
                 "error_ratio": _middle(ratio),
             }  # fmt: skip
-        return found
+        return summary
 
     def __repr__(self) -> str:
         n, good = len(self.ours), int(self.good.sum())
@@ -171,19 +171,19 @@ def displacement(beside: Refit, detector: Detector) -> Displacement:
     n = len(of["event"])
     if n < _LEAST_TRACKS:
         raise ValueError(f"displacement: got {n} tracks that both have fitted, expected {_LEAST_TRACKS} or more")
-    cosine, sine, one, none = np.cos(of["boss_phi0"]), np.sin(of["boss_phi0"]), np.ones(n), np.zeros(n)
+    cosine, sine, ones, zeros = np.cos(of["boss_phi0"]), np.sin(of["boss_phi0"]), np.ones(n), np.zeros(n)
     turn = of["boss_kappa"] * compiled(detector, gaps=False).field.bz / helix.RADIUS_PER_KAPPA  # per mm along the track
     slopes = {
-        "dr": (-cosine, -sine, none, none),
-        "phi0": (turn * sine, -turn * cosine, none, -one),
-        "dz": (-of["boss_tanl"] * sine, of["boss_tanl"] * cosine, -one, none),
+        "dr": (-cosine, -sine, zeros, zeros),
+        "phi0": (turn * sine, -turn * cosine, zeros, -ones),
+        "dz": (-of["boss_tanl"] * sine, of["boss_tanl"] * cosine, -ones, zeros),
     }
     weight = {name: 1 / of[f"boss_err_{name}"] for name in slopes}
     matrix = np.concatenate([np.stack(slope, 1) * weight[name][:, None] for name, slope in slopes.items()])
     measured = np.concatenate([of[f"diff_{name}"] * weight[name] for name in slopes])
-    value, *_ = np.linalg.lstsq(matrix, measured)
-    scatter = np.sum((measured - matrix @ value) ** 2) / (len(measured) - len(value))
-    return Displacement(value, np.sqrt(scatter * np.diagonal(np.linalg.inv(matrix.T @ matrix))))
+    constants, *_ = np.linalg.lstsq(matrix, measured)
+    scatter = np.sum((measured - matrix @ constants) ** 2) / (len(measured) - len(constants))
+    return Displacement(constants, np.sqrt(scatter * np.diagonal(np.linalg.inv(matrix.T @ matrix))))
 
 
 def _same(ours: Table, boss: Table, *, by_mass: bool) -> tuple[Column, Column]:

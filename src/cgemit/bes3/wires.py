@@ -59,13 +59,13 @@ class DriftCalibration:
 
     def distance(self, detector: Detector, layer: Ints, time: Floats) -> Floats:
         """Return drift distances, (n,) float64, mm: means of both sides, which a hit does not know."""
-        found = np.maximum(relations_of(detector).distance_at(layer, time), 0.0)
-        for one in np.unique(layer).tolist():
-            mine = layer == one
-            sides = [self.relation[one, side] for side in (1, -1) if (one, side) in self.relation]
+        distances = np.maximum(relations_of(detector).distance_at(layer, time), 0.0)
+        for number in np.unique(layer).tolist():
+            mine = layer == number
+            sides = [self.relation[number, side] for side in (1, -1) if (number, side) in self.relation]
             if sides:
-                found[mine] = np.mean([np.interp(time[mine], *points) for points in sides], axis=0)
-        return found
+                distances[mine] = np.mean([np.interp(time[mine], *points) for points in sides], axis=0)
+        return distances
 
 
 def calibrate(events: Bes3Events) -> DriftCalibration:
@@ -83,16 +83,16 @@ def calibrate(events: Bes3Events) -> DriftCalibration:
     zero = hits["tdc"] - events.start_time[hits["event"]] - time - delay
     known = np.isfinite(zero)
     zeros, relation = {}, {}
-    for one in np.unique(layer).tolist():
-        mine = layer == one
+    for number in np.unique(layer).tolist():
+        mine = layer == number
         if np.count_nonzero(mine & known) >= _LEAST_TIMES:
-            zeros[one] = float(np.median(zero[mine & known]))
+            zeros[number] = float(np.median(zero[mine & known]))
         for side in (1, -1):
             rows = mine & (hits["side"] == side)
-            if np.count_nonzero(rows) < _LEAST_DISTANCES and one < _OUTER:
+            if np.count_nonzero(rows) < _LEAST_DISTANCES and number < _OUTER:
                 rows = layer < _OUTER
             if np.count_nonzero(rows) >= _LEAST_DISTANCES:
-                relation[one, side] = _curve(time[rows], drift[rows])
+                relation[number, side] = _curve(time[rows], drift[rows])
     return DriftCalibration(zeros, relation)
 
 
@@ -213,19 +213,19 @@ def find_start_times(
         Start times, ns; NaN where no time gives a track.
     """
     n = len(events.run)
-    most, found = np.zeros(n), np.full(n, np.nan)
+    most, start_times = np.zeros(n), np.full(n, np.nan)
     calibration = calibrate(events) if calibration is None else calibration
     for time in np.asarray(times, np.float64):
         hits = events.clusters, all_wire_hits(events, time, calibration=calibration)
         made = reconstruct(events.detector, *hits, find_tracks, refinements=[DriftTimes()], find_again=False)
         tracks = made["tracks"][made["tracks"]["status"] == FitStatus.ok]
         count = np.bincount(tracks["event"], tracks["n_wires"], minlength=n)
-        found[count > most] = time
+        start_times[count > most] = time
         most = np.maximum(most, count)
-    return found
+    return start_times
 
 
-def match_wires(events: Bes3Events, wire_hits: Table, found: Mapping[str, Table] | None = None) -> Table:
+def match_wires(events: Bes3Events, wire_hits: Table, fitted: Mapping[str, Table] | None = None) -> Table:
     """Compare tracks of simulated events with the particles that fired their wires.
 
     Parameters
@@ -233,7 +233,7 @@ def match_wires(events: Bes3Events, wire_hits: Table, found: Mapping[str, Table]
     events : Bes3Events
     wire_hits : Table
         Of `all_wire_hits`.
-    found : mapping of str to Table, or None
+    fitted : mapping of str to Table, or None
         ``tracks``, ``candidates`` and ``candidate_hits`` of these hits, as `reconstruct` returns them. None: the
         experiment's first fits.
 
@@ -242,16 +242,16 @@ def match_wires(events: Bes3Events, wire_hits: Table, found: Mapping[str, Table]
     Table of kind "matches"
         `purity` and `efficiency` count wire hits alone.
     """
-    if found is None:
+    if fitted is None:
         named = label_candidates(events.clusters, wire_hits, np.full(len(events.clusters), -1), wire_hits["track"])
         candidates, tracks = named["candidates"], events.mdc_tracks
         keys = zip(candidates["event"].tolist(), candidates["candidate"].tolist(), strict=True)
         row = {key: i for i, key in enumerate(keys)}
         keys = zip(tracks["event"].tolist(), tracks["track"].tolist(), strict=True)
         rows = np.array([row.get(key, -1) for key in keys], np.int64)
-        found = {**named, "tracks": tracks.with_columns(candidate=rows)[rows >= 0]}
-    hits = found["candidate_hits"]
-    of_wires = found["tracks"], found["candidates"], hits[hits["view"] == HIT_WIRE]
+        fitted = {**named, "tracks": tracks.with_columns(candidate=rows)[rows >= 0]}
+    hits = fitted["candidate_hits"]
+    of_wires = fitted["tracks"], fitted["candidates"], hits[hits["view"] == HIT_WIRE]
     no_clusters = events.clusters[np.zeros(len(events.clusters), np.bool_)]
     true = wire_hits["particle"] >= 0
     linked = wire_hits.with_columns(wire_truth=np.where(true, np.cumsum(true) - 1, -1))

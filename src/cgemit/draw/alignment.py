@@ -22,12 +22,12 @@ _SHORT = {"mm": (1e3, "um"), "rad": (1e6, "urad"), "ns": (1.0, "ns"), "": (1.0, 
 _MOST_LABELS = 10  # of parts
 
 
-def draw_constants(found: Alignment | AlignmentForecast) -> Picture:
+def draw_constants(alignment: Alignment | AlignmentForecast) -> Picture:
     """Draw the errors of all constants by part, logarithmically; of an alignment also the convergence.
 
     Parameters
     ----------
-    found : Alignment or AlignmentForecast
+    alignment : Alignment or AlignmentForecast
 
     Returns
     -------
@@ -41,11 +41,11 @@ def draw_constants(found: Alignment | AlignmentForecast) -> Picture:
     'error  (um, urad)'
     """
     with style():
-        aligned = isinstance(found, Alignment)
+        aligned = isinstance(alignment, Alignment)
         picture, axes = new_picture(1, 2 if aligned else 1, (11.4 if aligned else 7.6, 4.8))
-        _errors(axes[0], found)
-        if isinstance(found, Alignment):
-            _convergence(axes[1], found)
+        _errors(axes[0], alignment)
+        if isinstance(alignment, Alignment):
+            _convergence(axes[1], alignment)
         picture.subplots_adjust(left=0.08, right=0.98, top=0.92, bottom=0.2, wspace=0.22)
     return picture
 
@@ -85,12 +85,12 @@ def _convergence(axes: Axes, found: Alignment) -> None:
     grid(axes)
 
 
-def draw_modes(found: Alignment | AlignmentForecast, number: int = 4) -> Picture:
+def draw_modes(alignment: Alignment | AlignmentForecast, number: int = 4) -> Picture:
     """Draw the weakest modes as arrows, seen along the beam and from the side.
 
     Parameters
     ----------
-    found : Alignment or AlignmentForecast
+    alignment : Alignment or AlignmentForecast
     number : int
         Of modes; zero modes come first.
 
@@ -105,13 +105,13 @@ def draw_modes(found: Alignment | AlignmentForecast, number: int = 4) -> Picture
     >>> len(picture.axes)
     4
     """
-    modes = found.modes(number)
+    modes = alignment.modes(number)
     shown = len(modes.names)
     with style():
         picture, axes = new_picture(2, shown, (3.0 * shown + 0.6, 5.8))
         for i in range(shown):
             values = dict(zip(modes.constants, modes.shapes[i], strict=True))
-            _arrows(axes[i], axes[shown + i], found, values)
+            _arrows(axes[i], axes[shown + i], alignment, values)
             size = "not determined" if not np.isfinite(modes.sizes[i]) else f"{1e3 * modes.sizes[i]:.3g} um"
             axes[i].set_title(f"{modes.names[i]}\n{size}", fontsize=8.5)
         axes[0].set_ylabel("y  (mm)")
@@ -119,10 +119,10 @@ def draw_modes(found: Alignment | AlignmentForecast, number: int = 4) -> Picture
     return picture
 
 
-def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, values: dict[str, float]) -> None:
+def _arrows(along: Axes, side: Axes, alignment: Alignment | AlignmentForecast, values: dict[str, float]) -> None:
     """Draw a mode along the beam, and from the side in the plane, x or y over z, in which it moves more."""
     parts = []
-    for path, (points, pivot) in rigid_parts(found.solution.detector).items():
+    for path, (points, pivot) in rigid_parts(alignment.solution.detector).items():
         constants = np.array([values.get(f"{path}.{key}", 0.0) for key in PLACEMENT])
         parts.append((points, constants[:3] + np.cross(constants[3:], points - pivot)))
     far = [np.abs(np.concatenate([moved[:, axis] for _, moved in parts])).max() for axis in (0, 1)]
@@ -135,8 +135,8 @@ def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, value
         outer = np.isclose(r, r.max())
         middle = outer & np.isclose(points[:, 2], np.median(points[outer, 2]))
         plane = outer & (np.abs(points[:, 1 - up]) < 1e-6)
-        for one, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, up))):
-            _quiver(one, points[rows][:, columns], moved[rows][:, columns])
+        for axes, rows, columns in ((along, middle, (0, 1)), (side, plane, (2, up))):
+            _quiver(axes, points[rows][:, columns], moved[rows][:, columns])
     if not reach.any():  # a mode of sheets, wires or drift times
         every = np.concatenate([points for points, _ in parts])
         reach = np.array([np.hypot(every[:, 0], every[:, 1]).max(), np.abs(every[:, 2]).max()])
@@ -144,8 +144,8 @@ def _arrows(along: Axes, side: Axes, found: Alignment | AlignmentForecast, value
     across, beam = 1.4 * reach
     along.set(xlabel="x  (mm)", aspect="equal", xlim=(-across, across), ylim=(-across, across))
     side.set(xlabel="z  (mm)", ylabel=f"{'xy'[up]}  (mm)", xlim=(-beam, beam), ylim=(-across, across))
-    for one in (along, side):
-        grid(one)
+    for axes in (along, side):
+        grid(axes)
 
 
 def _quiver(axes: Axes, at: Floats, moved: Floats) -> None:
@@ -153,12 +153,12 @@ def _quiver(axes: Axes, at: Floats, moved: Floats) -> None:
     axes.quiver(*at.T, *moved.T, color=COLORS["fit"], angles="uv", scale=12, width=6e-3)
 
 
-def draw_residual_means(found: Alignment) -> Picture:
+def draw_residual_means(alignment: Alignment) -> Picture:
     """Draw the mean residuals of the views of layers before and after an alignment.
 
     Parameters
     ----------
-    found : Alignment
+    alignment : Alignment
 
     Returns
     -------
@@ -173,9 +173,9 @@ def draw_residual_means(found: Alignment) -> Picture:
     """
     with style():
         picture, (axes,) = new_picture(1, 1, (7.0, 4.4))
-        names = list(found.residuals[0])
+        names = list(alignment.residuals[0])
         for i, (label, colour) in enumerate((("before", COLORS["idc"]), ("after", COLORS["cgem"]))):
-            numbers = np.array([found.residuals[i].get(name, (np.nan, np.nan)) for name in names]) * 1e3
+            numbers = np.array([alignment.residuals[i].get(name, (np.nan, np.nan)) for name in names]) * 1e3
             at = np.arange(len(names)) + 0.15 * (2 * i - 1)
             axes.errorbar(at, numbers[:, 0], numbers[:, 1], fmt="o", ms=4, color=colour, label=label)
         axes.axhline(0, color=COLORS["text"], lw=0.8)

@@ -124,26 +124,26 @@ def draw_cluster(result: Result, event: int, layer: int = 0) -> Picture:
         axes.plot(x[0], z[0], "o", color=COLORS["truth"], ms=6, mec="white")
         axes.plot(x[2], z[2], "s", color=COLORS["truth"], ms=6, mec="white")
         axes.plot(*centre, "o", mfc="none", mec=COLORS["truth"], ms=11, mew=1.6, label="truth at mid-gap")
-        found = (float(hit.x(hit.cluster_phi)), hit.cluster_z)
-        axes.plot(*found, "X", color=COLORS["data"], ms=10, mec="white", label="XV cluster")
+        cluster = (float(hit.x(hit.cluster_phi)), hit.cluster_z)
+        axes.plot(*cluster, "X", color=COLORS["data"], ms=10, mec="white", label="XV cluster")
         axes.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half), aspect="equal")
         axes.set(xlabel="X = R (φ − φ of the sheet's edge)  (mm)", ylabel="z  (mm)")
         axes.set_title(
             f"{plain(result.detector.name)}: {plain(hit.layer.label)}, sheet {hit.sheet}, event {event}", loc="left"
         )
-        statistics_box(axes, _numbers(hit, centre, found))
+        statistics_box(axes, _numbers(hit, centre, cluster))
         axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), handlelength=1.6)
         picture.subplots_adjust(left=0.09, right=0.66, top=0.94, bottom=0.1)
     return picture
 
 
-def _numbers(hit: Crossing, truth: tuple[float, float], found: tuple[float, float]) -> list[str]:
-    dv = float(hit.v(*found) - hit.v(*truth))
+def _numbers(hit: Crossing, truth: tuple[float, float], cluster: tuple[float, float]) -> list[str]:
+    dv = float(hit.v(*cluster) - hit.v(*truth))
     return [
         f"strips: {len(hit.strips_x)} X, {len(hit.strips_v)} V",
-        f"X residual: {1000 * (found[0] - truth[0]):+.0f} µm",
+        f"X residual: {1000 * (cluster[0] - truth[0]):+.0f} µm",
         f"V residual: {1000 * dv:+.0f} µm",
-        f"z residual: {1000 * (found[1] - truth[1]):+.0f} µm",
+        f"z residual: {1000 * (cluster[1] - truth[1]):+.0f} µm",
     ]
 
 

@@ -183,10 +183,10 @@ def draw_curves(
             kind = "_" if len(curve.x) == 1 else "-"
             axes.plot(curve.x, curve.y, kind, color=colour, lw=1.4, ms=16, mew=1.4, label=f"{label}, analytic")
             continue
-        both = "analytic" in methods
+        has_analytic = "analytic" in methods
         axes.errorbar(
-            curve.x, curve.y, curve.y_error, fmt=marker if both else f"{marker}-", color=colour, ms=5, lw=1.2,
-            mec="white", mew=0.5, elinewidth=1, label=f"{label}, simulated" if both else label,
+            curve.x, curve.y, curve.y_error, fmt=marker if has_analytic else f"{marker}-", color=colour, ms=5, lw=1.2,
+            mec="white", mew=0.5, elinewidth=1, label=f"{label}, simulated" if has_analytic else label,
         )  # fmt: skip
     if paper:
         star: dict[str, Any] = {"ms": 13, "color": COLORS["single"], "mec": COLORS["data"], "mew": 0.7}
@@ -359,29 +359,29 @@ def draw_finding(curves: Mapping[str, Mapping[str, Any]], title: str, lines: Seq
     with style():
         across, rows = min(len(curves), 3), -(-len(curves) // 3)
         picture, axes = new_picture(rows, across, (3.9 * across, 3.4 * rows + 0.8))
-        for one in axes[len(curves) :]:
-            one.remove()
+        for plot in axes[len(curves) :]:
+            plot.remove()
         least = min(
             (np.nanmin(columns["efficiency_low"]) for columns in curves.values() if np.any(columns["findable"])),
             default=0.0,
         )
-        for one, (quantity, columns) in zip(axes, curves.items(), strict=False):
+        for plot, (quantity, columns) in zip(axes, curves.items(), strict=False):
             filled = np.asarray(columns["findable"]) > 0
             low, high = (np.asarray(columns[name])[filled] for name in ("low", "high"))
-            value, below, above = (
+            efficiency, below, above = (
                 100 * np.asarray(columns[name])[filled] for name in ("efficiency", "efficiency_low", "efficiency_high")
             )
-            one.errorbar(
-                0.5 * (low + high), value, xerr=0.5 * (high - low), yerr=[value - below, above - value],
+            plot.errorbar(
+                0.5 * (low + high), efficiency, xerr=0.5 * (high - low), yerr=[efficiency - below, above - efficiency],
                 fmt="o", markersize=3.5, linewidth=1.0, color=COLORS["cgem"],
             )  # fmt: skip
-            one.set_xlabel(_LABELS[quantity])
-            one.set_ylim(
+            plot.set_xlabel(_LABELS[quantity])
+            plot.set_ylim(
                 max(0.0, 100 * least - 0.25 * (100 - 100 * least) - 0.2), 100 + 0.06 * (100 - 100 * least) + 0.1
             )
-            grid(one)
-        for one in axes[::across]:
-            one.set_ylabel("efficiency  (%)")
+            grid(plot)
+        for plot in axes[::across]:
+            plot.set_ylabel("efficiency  (%)")
         height = picture.get_figheight()
         picture.suptitle(plain(title), fontsize=10.5, y=1 - 0.08 / height)
         picture.text(0.5, 0.06 / height, plain("   ".join(lines)), ha="center", fontsize=9, color=COLORS["text"])
@@ -597,8 +597,11 @@ def _named(groups: Sequence[Sequence[Line]]) -> list[list[Line]]:
     detectors, particles = ({getattr(line, name) for line in lines} for name in ("detector", "particle"))
     if len(particles) == 1:
         return [list(group) for group in groups]
-    both = len(detectors) > 1
+    several_detectors = len(detectors) > 1
     return [
-        [replace(line, detector=f"{line.detector}, {line.particle}" if both else line.particle) for line in group]
+        [
+            replace(line, detector=f"{line.detector}, {line.particle}" if several_detectors else line.particle)
+            for line in group
+        ]
         for group in groups
     ]

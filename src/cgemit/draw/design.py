@@ -183,12 +183,12 @@ def _pieces(budgets: Mapping[str, Budget], by: By, most: int) -> dict[str, Float
     """Return the variances of each group, (variants,), the largest first; more groups than `most` are added up."""
     every = [{key: float(value.ravel()[0]) for key, value in one.grouped(by).items()} for one in budgets.values()]
     keys = dict.fromkeys(key for groups in every for key in groups)
-    found = {key: np.array([groups.get(key, 0.0) for groups in every]) for key in keys}
-    names = sorted(found, key=lambda key: -float(found[key].max()))
+    variances = {key: np.array([groups.get(key, 0.0) for groups in every]) for key in keys}
+    names = sorted(variances, key=lambda key: -float(variances[key].max()))
     if len(names) <= most:
-        return {name: found[name] for name in names}
-    rest = np.sum([found[name] for name in names[most:]], axis=0)
-    return {name: found[name] for name in names[:most]} | {_OTHER: rest}
+        return {name: variances[name] for name in names}
+    others = np.sum([variances[name] for name in names[most:]], axis=0)
+    return {name: variances[name] for name in names[:most]} | {_OTHER: others}
 
 
 def _shares(budget: Budget, by: By, most: int) -> dict[str, Floats]:
@@ -404,15 +404,15 @@ def points(columns: Columns) -> list[tuple[str, Any]]:
     """Return each point (momentum and angle) of a table as text with the rows that it has, (n,) bool."""
     names = [name for name in ("p (GeV/c)", "cos_theta") if name in columns]
     rows = list(zip(*(columns[name] for name in names), strict=True)) if names else [()] * len(columns["variant"])
-    found = []
+    rows_of = []
     for point in dict.fromkeys(rows):
         texts = {"p (GeV/c)": "p = {} GeV/c", "cos_theta": "cos θ = {}"}
         text = ", ".join(
             texts[name].format(one if isinstance(one, str) else f"{one:g}")
             for name, one in zip(names, point, strict=True)
         )
-        found.append((text, np.array([row == point for row in rows])))
-    return found
+        rows_of.append((text, np.array([row == point for row in rows])))
+    return rows_of
 
 
 def _ticks(axes: Axes, values: Sequence[Any], axis: str) -> Any:

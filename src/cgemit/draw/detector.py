@@ -234,9 +234,11 @@ def draw_rz(detector: Detector | str | Mapping[str, Any], ax: Axes | None = None
             ax.plot(*wire_profile(layer), color=_WIRES[_kind(layer)], linewidth=0.6)
         seen = [layer for layer in detector.layers if layer.r_mid < edge]
         room = min(np.diff([layer.r_mid for layer in seen]), default=edge) > _LABEL * edge
-        for one in seen if room else ():
-            place = (one.ends[1] + 0.008 * reach, one.r_mid)
-            ax.annotate(plain(one.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"])
+        for measuring in seen if room else ():
+            place = (measuring.ends[1] + 0.008 * reach, measuring.r_mid)
+            ax.annotate(
+                plain(measuring.label), place, va="center", fontsize=8.5, fontweight="bold", color=COLORS["text"]
+            )
         _polar_angles(ax, edge, reach)
         ax.set(xlim=(-reach, reach), ylim=(0, edge), xlabel="z (mm)", ylabel="r (mm)")
         ax.set_title(f"{plain(detector.name)}: r-z", pad=16)

@@ -385,15 +385,15 @@ def _plotly() -> Any:
 def _cylinders(plotly: Any, view: EventView) -> list[Any]:
     parts = [("beam pipe", part.r_out, part.ends, "#8A95A1") for part in view.detector.beam_pipe[:1]]
     parts += [(layer.label, layer.r_mid, layer.ends, "#7FB2DC") for layer in view.detector.layers]
-    found = []
+    surfaces = []
     for name, radius, ends, color in parts:
         z = np.array(ends)[:, None]
         x, y = (np.broadcast_to(radius * f(_TURN), (2, len(_TURN))) for f in (np.cos, np.sin))
-        found.append(plotly.Surface(
+        surfaces.append(plotly.Surface(
             x=x, y=y, z=np.broadcast_to(z, x.shape), opacity=0.18, showscale=False, colorscale=[[0, color], [1, color]],
             name=name, showlegend=True, hoverinfo="skip",
         ))  # fmt: skip
-    return found
+    return surfaces
 
 
 def _joined(lines: list[Array]) -> Array:

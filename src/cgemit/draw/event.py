@@ -253,9 +253,9 @@ def _on_track(
         wire = hits["view"] == HIT_WIRE
         of_wires[hits["hit"][wire]] = True
         of_clusters[hits["hit"][~wire]] = True
-    both = clusters["view"] == XV_CLUSTER
-    parts = [clusters[name][both] for name in ("x_cluster", "v_cluster")]
-    of_clusters[both] |= of_clusters[parts[0]] & of_clusters[parts[1]]
+    is_xv = clusters["view"] == XV_CLUSTER
+    parts = [clusters[name][is_xv] for name in ("x_cluster", "v_cluster")]
+    of_clusters[is_xv] |= of_clusters[parts[0]] & of_clusters[parts[1]]
     return of_clusters, of_wires
 
 
@@ -283,17 +283,17 @@ def _states(part: Result) -> States:
     if any(part.tables.get(name) is None for name in needed) or not len(part.fitted):
         return {name: np.empty(0) for name in names}
     settings = replace(fit_settings(part.settings, part.gun), states=("beam_line", "hits"), residuals=False, beam=None)
-    found = fit(
+    states = fit(
         part.fit_detector or part.detector, *part.fitted_hits, part.candidates, part.candidate_hits,
         settings,
     )["states"]  # fmt: skip
-    good = found["status"] == StateStatus.ok
-    return {name: found[name][good] for name in names}
+    good = states["status"] == StateStatus.ok
+    return {name: states[name][good] for name in names}
 
 
 def _paths(part: Result, tracks: Table, states: States, r: float, z: float) -> list[Path]:
     """Return the fitted tracks through their states; as the helix at the origin where there are none."""
-    found = []
+    paths = []
     fitted = is_fitted(tracks)
     for row in np.flatnonzero(fitted & np.isfinite(tracks["kappa"])):
         helix = np.array([tracks[name][row] for name in PARAMETERS])
@@ -304,8 +304,8 @@ def _paths(part: Result, tracks: Table, states: States, r: float, z: float) -> l
             curve = smooth_curve(points[order], momenta[order])
         else:
             curve = np.stack(helix_points(helix, part.detector.field.bz, r, z), axis=1)
-        found.append(Path(curve, float(tracks["p"][row]), int(row)))
-    return found
+        paths.append(Path(curve, float(tracks["p"][row]), int(row)))
+    return paths
 
 
 _ALMOST_STRAIGHT = 1e-3  # T/(GeV/c): a radius above 3 km
@@ -460,8 +460,8 @@ def draw_cluster_strips(axes: list[Axes], view: EventView) -> None:
     most = max((float(one.charge.max(initial=0.0)) for layer in layers for one in layer), default=0.0) or 1.0
     reach = max((float(np.abs(one.across).max(initial=0.0)) for layer in layers for one in layer), default=0.0) + 1.0
     for plot, strips, layer in zip(axes, layers, view.detector.cgem, strict=True):
-        for one in strips:
-            _draw_view(plot, one, colours, 1.0 if one.name == "X" else -1.0)
+        for strip_view in strips:
+            _draw_view(plot, strip_view, colours, 1.0 if strip_view.name == "X" else -1.0)
         plot.axhline(0, color=COLORS["text"], lw=0.8)
         plot.axvline(0, color=COLORS["cgem"], lw=1.2, ls="--", label="position of the cluster")
         plot.set(xlim=(-reach, reach), ylim=(-1.6 * most, 1.6 * most), xlabel="across the strips  (mm)")

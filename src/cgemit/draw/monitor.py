@@ -255,12 +255,12 @@ def draw_residual_profiles(hits: HitResiduals, by: Sequence[str] = ("time", "inc
     return picture
 
 
-def draw_efficiencies(found: LayerEfficiencies) -> Picture:
+def draw_efficiencies(efficiencies: LayerEfficiencies) -> Picture:
     """Draw the efficiencies of layers and their regions, with 68 % intervals of Wilson, which end at 100 %.
 
     Parameters
     ----------
-    found : LayerEfficiencies
+    efficiencies : LayerEfficiencies
 
     Returns
     -------
@@ -274,13 +274,13 @@ def draw_efficiencies(found: LayerEfficiencies) -> Picture:
     """
     with style():
         picture, (plot,) = new_picture(1, 1, (9.6, 4.2))
-        at = np.arange(len(found.label), dtype=np.float64)
+        at = np.arange(len(efficiencies.label), dtype=np.float64)
         looks = (("x", "X", COLORS["x"]), ("v", "V", COLORS["v"]), ("both", "X and V", COLORS["data"]))
         for i, (name, label, colour) in enumerate(looks):
-            value, low, high = (100 * getattr(found, key) for key in (name, f"{name}_low", f"{name}_high"))
-            err = [value - low, high - value]
-            plot.errorbar(at + 0.2 * (i - 1), value, err, fmt="osD"[i], color=colour, ms=4, capsize=2, label=label)
-        names = zip(found.label, found.region, found.tracks, strict=True)
+            efficiency, low, high = (100 * getattr(efficiencies, key) for key in (name, f"{name}_low", f"{name}_high"))
+            err = [efficiency - low, high - efficiency]
+            plot.errorbar(at + 0.2 * (i - 1), efficiency, err, fmt="osD"[i], color=colour, ms=4, capsize=2, label=label)
+        names = zip(efficiencies.label, efficiencies.region, efficiencies.tracks, strict=True)
         plot.set_xticks(at, [f"{label}\n{region}\n{n}" for label, region, n in names], fontsize=8)
         plot.set(ylabel="efficiency (%)", xlabel="layer, region, number of tracks")
         plot.axhline(100, color=COLORS["data"], lw=0.7)
@@ -326,10 +326,10 @@ def draw_layer_maps(crossings: LayerCrossings, hits: HitResiduals) -> Picture:
             for view in (0, 1):
                 own = of_layer.select(of_layer.view == view)
                 shown.append((f"{label}: mean residual {VIEWS[view]}", own.phi, own.z, 1e3 * own.residual, _LEAST))
-            for row, (title, phi, z, value, least) in enumerate(shown):
+            for row, (title, phi, z, shades, least) in enumerate(shown):
                 plot = axes[row * len(labels) + column]
                 counts = np.histogram2d(phi, z, edges)[0]
-                sums = np.histogram2d(phi, z, edges, weights=value)[0]
+                sums = np.histogram2d(phi, z, edges, weights=shades)[0]
                 mean = np.where(counts >= least, sums / np.maximum(counts, 1), np.nan)
                 limit = float(np.nanmax(np.abs(mean))) if np.isfinite(mean).any() else 1.0
                 look: dict[str, Any] = {"cmap": "viridis", "vmin": 0, "vmax": 100}

@@ -44,15 +44,15 @@ def draw_slab(result: SlabResult) -> Picture:
 
 def draw_angles(axes: Axes, result: SlabResult) -> None:
     """Draw the density of the plane angles of both planes, logarithmically, beside Gaussians of both formulas."""
-    both = 1e3 * np.concatenate([result.angle_1[result.through], result.angle_2[result.through]])
-    if not both.size:
+    angles = 1e3 * np.concatenate([result.angle_1[result.through], result.angle_2[result.through]])
+    if not angles.size:
         axes.set(xticks=[], yticks=[], xlabel="plane angle  (mrad)")
         axes.text(0.5, 0.5, "no particle came through", transform=axes.transAxes, ha="center", color=COLORS["text"])
         return
     scale = result.q68_mrad or 1.0
     reach = min(8 * scale, 1e3 * math.pi / 2)
     edges = np.linspace(-reach, reach, 161)
-    _density(axes, both, edges, "simulated")
+    _density(axes, angles, edges, "simulated")
     x = np.linspace(-reach, reach, 801)
     highland = (result.highland_mrad, COLORS["single"], "--", "Highland")
     core = (result.core_mrad, COLORS["fit"], "-", "core, as the fit takes it")
@@ -63,10 +63,10 @@ def draw_angles(axes: Axes, result: SlabResult) -> None:
         axes.plot(x, y, dashes, color=colour, lw=1.5, label=f"{label}: {sigma:.4g} mrad")
     top = 1 / (math.sqrt(2 * math.pi) * scale)
     axes.set(xlabel="plane angle  (mrad)", ylabel="density  (1/mrad)", yscale="log", xlim=(-reach, reach))
-    axes.set_ylim(max(0.3 / both.size / (edges[1] - edges[0]), 1e-6 * top), 30 * top)
+    axes.set_ylim(max(0.3 / angles.size / (edges[1] - edges[0]), 1e-6 * top), 30 * top)
     axes.legend(loc="upper left")
     numbers = [_number(result, name, "mrad", name.removesuffix("_mrad")) for name in _ANGLES]
-    statistics_box(axes, [f"{both.size:,} angles", *numbers])
+    statistics_box(axes, [f"{angles.size:,} angles", *numbers])
     grid(axes)
 
 

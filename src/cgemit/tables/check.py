@@ -140,15 +140,15 @@ def _no_covariance(cov: Array, counts: Flags | None) -> Flags:
     rows = np.arange(len(cov)) if counts is None else np.flatnonzero(counts)
     diagonal = np.diagonal(cov[rows], axis1=1, axis2=2)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    one = cov[rows] * scale[:, :, None] * scale[:, None, :]
-    wrong = (diagonal <= 0).any(axis=1) | (np.abs(one - np.swapaxes(one, 1, 2)) > 1e-6).any(axis=(1, 2))
+    correlation = cov[rows] * scale[:, :, None] * scale[:, None, :]
+    wrong = (diagonal <= 0).any(axis=1) | (np.abs(correlation - np.swapaxes(correlation, 1, 2)) > 1e-6).any(axis=(1, 2))
     try:
-        np.linalg.cholesky(one + _ROUNDING * np.eye(one.shape[1]))  # ten times as fast as eigenvalues
+        np.linalg.cholesky(correlation + _ROUNDING * np.eye(correlation.shape[1]))  # ten times as fast as eigenvalues
     except np.linalg.LinAlgError:
-        wrong |= np.linalg.eigvalsh(0.5 * (one + np.swapaxes(one, 1, 2)))[:, 0] < -_ROUNDING
-    found = np.zeros(len(cov), np.bool_)
-    found[rows[wrong]] = True
-    return found
+        wrong |= np.linalg.eigvalsh(0.5 * (correlation + np.swapaxes(correlation, 1, 2)))[:, 0] < -_ROUNDING
+    no_covariance = np.zeros(len(cov), np.bool_)
+    no_covariance[rows[wrong]] = True
+    return no_covariance
 
 
 def _cluster_problems(table: Table) -> list[str]:

@@ -607,18 +607,18 @@ def event_range(n_events: int, first_event: int, events: npt.ArrayLike | None) -
         raise ValueError(f"n_events: is {n_events}, expected 0 to {_MOST_EVENTS}")
     if events is None or not n_events:
         return int(first_event), None
-    given = np.asarray(events)
-    if given.shape != (n_events,) or given.dtype.kind not in "iu":
+    numbers = np.asarray(events)
+    if numbers.shape != (n_events,) or numbers.dtype.kind not in "iu":
         expected = f"({n_events},), whole numbers"
-        raise ValueError(f"events: got shape {given.shape}, {given.dtype}; expected {expected}")
-    if np.any(given[1:] <= given[:-1]):
+        raise ValueError(f"events: got shape {numbers.shape}, {numbers.dtype}; expected {expected}")
+    if np.any(numbers[1:] <= numbers[:-1]):
         raise ValueError("events: do not increase somewhere; expected each number above the one before")
-    first = int(given[0])
-    if not -(2**62) <= first <= int(given[-1]) <= 2**62:
-        raise ValueError(f"events: got {first} to {given[-1]}, expected numbers within 2**62")
-    if int(given[-1]) - first == n_events - 1:
+    first = int(numbers[0])
+    if not -(2**62) <= first <= int(numbers[-1]) <= 2**62:
+        raise ValueError(f"events: got {first} to {numbers[-1]}, expected numbers within 2**62")
+    if int(numbers[-1]) - first == n_events - 1:
         return first, None
-    return first, read_only(given, np.dtype(np.int64))
+    return first, read_only(numbers, np.dtype(np.int64))
 
 
 def check_columns(

@@ -146,9 +146,9 @@ def files_of(name: str, about: Mapping[str, Any]) -> list[tuple[str, dict[str, A
 
 def index_problems(file: str, table: Rows, about: Mapping[str, Any]) -> list[str]:
     """Return how a table differs from its description in the index: it is of another run, or half replaced."""
-    found = json.loads(json.dumps(describe(table)))
-    pairs = [(key, found[key], about.get(key)) for key in ("kind", *COVER)]
-    meta, expected = found["meta"], about.get("meta")
+    described = json.loads(json.dumps(describe(table)))
+    pairs = [(key, described[key], about.get(key)) for key in ("kind", *COVER)]
+    meta, expected = described["meta"], about.get("meta")
     expected = expected if isinstance(expected, dict) else {}
     pairs += [(key, meta.get(key), expected.get(key)) for key in dict.fromkeys([*meta, *expected])]
     return [

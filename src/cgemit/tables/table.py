@@ -45,14 +45,14 @@ def lost_links(table: Rows, tables: Collection[str]) -> list[str]:
 
 def without_links(table: Rows, tables: Collection[str]) -> dict[str, Array]:
     """Return the link columns that count rows of tables that are not kept, with -1 in their place."""
-    found = {}
+    links = {}
     for column in SCHEMAS[table.kind]:
         gone = [i for i, name in enumerate(targets(column)) if name not in tables]
         if gone:
             rows = table.columns[column.name]
             several = len(targets(column)) > 1
-            found[column.name] = np.where(np.isin(table.columns["view"], gone), -1, rows) if several else rows * 0 - 1
-    return found
+            links[column.name] = np.where(np.isin(table.columns["view"], gone), -1, rows) if several else rows * 0 - 1
+    return links
 
 
 def moved_links(table: Rows, moved: Callable[[str], Origins]) -> dict[str, Array]:
@@ -64,7 +64,7 @@ def moved_links(table: Rows, moved: Callable[[str], Origins]) -> dict[str, Array
     moved : callable
         Returns what is added to links to a table of a name: a number, or (n,) int64, one for each row.
     """
-    found = {}
+    links = {}
     for column in SCHEMAS[table.kind]:
         names = targets(column)
         if not names:
@@ -74,8 +74,8 @@ def moved_links(table: Rows, moved: Callable[[str], Origins]) -> dict[str, Array
         if len(names) > 1:
             shifts = np.stack([np.broadcast_to(moved(name), len(rows)) for name in names])
             shift = shifts[table.columns["view"], np.arange(len(rows))]
-        found[column.name] = np.where(rows < 0, rows, rows + shift)
-    return found
+        links[column.name] = np.where(rows < 0, rows, rows + shift)
+    return links
 
 
 def local_links(table: Rows, tables: Mapping[str, Rows]) -> dict[str, Array]:
