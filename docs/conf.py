@@ -122,13 +122,14 @@ def _is_internal(cls, member):
 
 
 def _linked(text, owner, own):
-    """Make `name` in a text a link to the reference where it has such an object, else code."""
+    """Make `name` in a text a link to the reference where it has such an object, else code; link pages of docs."""
 
     def role(match):
         full = _full_name(match[1], owner, own)
         return f":py:obj:`{match[1]} <{full}>`" if full else f"``{match[1]}``"
 
-    return re.sub(r"(?<![`:])`([^`<>]+)`(?![`_])", role, text)
+    text = re.sub(r"(?<![`:])`([^`<>]+)`(?![`_])", role, text)
+    return re.sub(r"(?<![\w/`])docs/([\w/-]+)\.md(?![\w`])", r":doc:`/docs/\1`", text)
 
 
 def _linked_type(text):

@@ -190,14 +190,8 @@ def blocks(found: Found) -> dict[str, str]:
         one, ten = (row for row in found["expected"].rows if row.preset == name)
         impact = [f"{row.dr:.3g}, {row.dz:.3g}" for row in (one, ten)]
         lines.append([f"`{name}`", *impact, ", ".join(f"{row.p:#.2g}".rstrip(".") for row in (one, ten))])
-    of_epic = ["`epic-like` / published", *(f"{p:g} GeV/c" for p in EPIC_MOMENTA)]
-    ratios = []
-    for low, high in EPIC:
-        for quantity, (name, _) in QUANTITIES.items():
-            rows = [row for row in found["epic"].rows if (row.low, row.quantity) == (low, quantity)]
-            ratios.append([f"{name}, {low:g} < η < {high:g}", *(f"{row.expected / row.published:.2f}" for row in rows)])
     return {
-        "expected": table(head, lines), "published": table(of_epic, ratios), "layers": _layers(),
+        "expected": table(head, lines), "layers": _layers(),
         "stated": _stated(found["stated"].rows),
         "simulated": _simulated(found["simulated"].rows),
         "lorentz": _lorentz_shifts(),

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 import cgemit as cg
 from cgemit.analysis.resolutions import pulls as track_pulls
 from cgemit.analysis.widths import measure
-from cgemit.base.arrays import Floats
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.induction import cloud_widths
-from cgemit.detector.readouts import AnalogReadout, ChipErrors, Readout
+from cgemit.detector.readouts import AnalogReadout, Readout
 from cgemit.particles.table import particles_from
-from cgemit.reconstruction.cluster import charge_clusterer
 from cgemit.reconstruction.cluster_errors import COS_THETA as COS_THETAS
-from cgemit.reconstruction.cluster_errors import chip_errors, error_inputs, expected_errors
-from cgemit.study.readout import errors, scan
-from cgemit.tables import Table
+from cgemit.reconstruction.cluster_errors import chip_errors, expected_errors
+from cgemit.study.readout import scan
 from cgemit.truth import assign
 from pages.page import Found, Numbers, Page, share_of, span, table
 
@@ -48,7 +43,6 @@ BEAM_CHIP = cg.Apv25Readout(gain=39_000.0)  # nothing but the gain is adjusted
 PITCHES = (300, 400, 500, 650, 800, 1000, 1200)  # um
 SIMULATED = (300, 650, 1200)  # um
 #: Constants of clusters without events in src/cpp/reconstruction/cluster/charge_errors.cpp.
-CONSTANTS = {"k": 0.6, "n": 0.9, "wide": 0.8, "chance": 0.014}
 CHIPS = {"binary": "#555555", "tiger": "#0072B2", "apv25": "#D55E00"}
 
 
@@ -73,20 +67,6 @@ class Tracks:
     pull_dz: float
     pull_tanl: float
     pull_p: float
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Pulls of the clusters of a range of a quantity: core width, median with the sign of the slope, % beyond 3."""
-
-    readout: str
-    quantity: str
-    low: float
-    high: float
-    clusters: int
-    core: float
-    median: float
-    beyond: float
 
 
 @dataclass(frozen=True)
@@ -126,17 +106,6 @@ class Pitch:
     d_z: float
     simulated_d_rho: float | None
     simulated_d_z: float | None
-
-
-@dataclass(frozen=True)
-class Constant:
-    """A constant of errors without events from simulated clusters: mean over designs, its error, spread of designs."""
-
-    constant: str
-    readout: str
-    mean: float
-    error: float
-    spread: float
 
 
 def simulated(detector: cg.Detector, readout: Readout | str, events: int) -> cg.Result:
@@ -183,113 +152,6 @@ def measure_tracks(share: float) -> Numbers:
             )
         )
     return Numbers(rows, {"events": f"{events:,} mu- a row, seed {SEED}"})
-
-
-def measure_pulls(share: float) -> Numbers:
-    """Measure pulls of clusters that have the slope of their track, in designs that the factors have not seen."""
-    n, rows = share_of(IN_EACH, share, 400), []
-    for readout in (cg.TigerReadout(), cg.Apv25Readout()):
-        rows += [
-            Pull(readout.name, one.quantity, one.low, one.high, one.clusters, one.core, one.mean, 100 * one.beyond)
-            for one in errors.pulls(readout, designs=DESIGNS, n=n)
-        ]
-    return Numbers(rows, {"events": f"{n} muons in each of {DESIGNS} designs"})
-
-
-class Shares(NamedTuple):
-    """Simulated clusters, and parts of the variances (mm2) that `charge_errors.cpp` gives them."""
-
-    key: npt.NDArray[np.int64]
-    charge: Floats  # fC
-    squares: Floats  # k
-    even: Floats  # k of a charge that does not fluctuate
-    share: Floats  # S
-    strips: Floats  # n
-    jitter: Floats  # mm2, (u v sigma_t)^2
-    excess: Floats  # mm2, epsilon above 0
-    width: Floats  # mm2, sigma_w^2
-    variance: Floats  # mm2
-    without: Floats  # mm2, variance without the part of epsilon
-
-
-def shares_of(at: errors.Design, jitter: bool, displaced: float, n: int, seed: int) -> Shares:
-    """Return the clusters of muons in a design; a single factor in the core's formulas gives each part."""
-    readout = errors.with_estimator(at.readout, "centroid")  # its pairs, and so the rows, do not depend on factors
-    assert isinstance(readout, AnalogReadout)
-    used, inputs = readout if jitter else replace(readout, jitter=0.0), error_inputs(at.detector, readout)
-    result = cg.run(at.detector, errors.muons(n, seed, displaced), seed=seed, readout=used, until="digitize")
-    clusterer, none = charge_clusterer(used), dict.fromkeys((one.name for one in fields(ChipErrors)), 0.0)
-    (group,) = at.detector.with_readout(used).groups
-    none |= {"noise": 0.0, "jitter": 0.0, "rise": 0.0, "height_by_threshold": inputs.chip["height_by_threshold"]}
-
-    def clusters(changed: dict[str, float], directions: Floats | None = None) -> Table:
-        chip = inputs._replace(chip=inputs.chip | changed)
-        columns = clusterer.columns(group, result.digis, chip, directions=directions)
-        return Table("clusters", columns, **result.digis.cover)
-
-    directions = errors.true_directions(at.detector, clusters(none), result.truths)
-
-    def measured(changed: dict[str, float]) -> errors.Measurements:
-        return errors.measurements(at.detector, clusters(changed, directions), result.truths, lorentz=readout.lorentz)
-
-    base = measured(none)
-    # Without a direction another cluster of the crossing is selected; at the edge of a sheet variances are no sums.
-    own = assign.own_clusters(at.detector, clusters(none, directions), result.truths)
-    known = np.isfinite(directions[own, 0]) & errors.inside_of_sheet(at.detector, base)
-    plane = {name: values[base.view * len(at.detector.cgem) + base.layer] for name, values in inputs.planes.items()}
-
-    def part(**changed: float) -> Floats:
-        other = measured(none | changed)
-        known[other.first != base.first] = False  # another part of a divided cluster has become that of the crossing
-        return np.asarray(other.error**2 - base.error**2)
-
-    width = plane["pitch"] ** 2 / 12 + plane["cloud"] + plane["diffusion"]
-    along = base.slope**2 * plane["gap"] ** 2 / 12
-    span = 12 / (12 / plane["gap"] ** 2 + base.slope**2 / width)
-    share = part(span=1.0) / (base.slope**2 * span)
-    electrons = np.maximum(base.charge * inputs.chip["electrons_per_fC"], 2.0)
-    largest = np.sqrt(np.maximum(share - (1 + inputs.chip["gain_variance"]) / electrons, 0)).clip(1e-9, 0.75)
-    # Without a largest ionization cluster there is no wide charge, but V has a share of X's at the edge of a sheet.
-    excess = np.where(largest > 1e-9, part(wide=1.0) * (1 - largest) / largest, 0.0)
-    cubic = part(noise=1.0) * 12 * base.charge**2 / plane["pitch"] ** 2  # n (n^2 - 1)
-    found = Shares(
-        (2 * base.truth + base.view) * (1 << 20) + base.first, base.charge,
-        part(time=1.0, jitter=1e5) / (base.slope * plane["velocity"] * 1e5) ** 2,
-        plane["pitch"] / np.sqrt(12 * (along + width)), share,
-        np.searchsorted([i**3 - i - 0.5 for i in range(1, 1000)], cubic, side="right").astype(np.float64),
-        (base.slope * plane["velocity"] * inputs.chip["jitter"]) ** 2, excess, width,
-        measured({}).error ** 2, measured({"wide": 0.0}).error ** 2,
-    )  # fmt: skip
-    return Shares._make(values[known] for values in found)
-
-
-def constants_of(at: errors.Design, n: int, seed: int) -> list[float]:
-    """Return the constants in a design, in the order of `CONSTANTS`."""
-    pairs = []
-    for displaced in (0.0, DISPLACED):
-        one, still = (shares_of(at, jitter, displaced, n // 2, seed) for jitter in (True, False))
-        _, rows, others = np.intersect1d(one.key, still.key, return_indices=True)
-        pairs.append([Shares._make(values[rows] for values in one), Shares._make(values[others] for values in still)])
-    one, still = (Shares._make(map(np.concatenate, zip(*parts, strict=True))) for parts in zip(*pairs, strict=True))
-    wide = (still.excess > 0) & (one.charge == still.charge) & (one.strips == still.strips)
-    variance, without, width = (np.exp(np.log(each).mean()) for each in (still.variance, still.without, still.width))
-    return [
-        float((one.squares - one.even).sum() / (one.share * (1 - one.even)).sum()),
-        float((one.strips - 1 / one.squares).mean()),
-        float((one.excess - still.excess)[wide].sum() / one.jitter[wide].sum()),
-        float((variance - without) / width),
-    ]
-
-
-def measure_constants(share: float) -> Numbers:
-    """Measure the constants of clusters without events in simulated clusters of all designs."""
-    designs, n, rows = share_of(ALL_DESIGNS, share, 4), share_of(IN_EACH, share, 400), []
-    for readout in (cg.TigerReadout(), cg.Apv25Readout()):
-        found = np.array([constants_of(errors.design(readout, number), n, 1 + number) for number in range(designs)])
-        for name, values in zip(CONSTANTS, found.T, strict=True):
-            spread = float(values.std(ddof=1))
-            rows.append(Constant(name, readout.name, float(values.mean()), spread / designs**0.5, spread))
-    return Numbers(rows, {"events": f"{n} muons in each of {designs} designs"})
 
 
 def measure_beam(share: float) -> Numbers:
@@ -434,12 +296,7 @@ def blocks(found: Found) -> dict[str, str]:
         **_gaps(),
         "correlations": _correlations(),
         "factors": _factors(),
-        "constants-sample": found["constants"].about["events"],
-        "constants": _constants(found),
-        "constants-off": _off(found),
         "tracks": _tracks(found),
-        "pulls": _pulls(found),
-        "designs": _designs(found),
         "effects-sample": found["effects"].about["events"],
         "effects": _effects(found),
         "beam": _beam(found),
@@ -469,48 +326,6 @@ def _tracks(found: Found) -> str:
     return table(head, lines)
 
 
-#: Quantities of `Pull` in a row of the table, and its title.
-_GROUPS = {
-    "all, X, V": ("all", "view"), "slope from": ("slope",), "strips from": ("strips",),
-    "charge quantiles from": ("charge",),
-}  # fmt: skip
-
-
-def _pulls(found: Found) -> str:
-    lines = []
-    for title, group in _GROUPS.items():
-        chips = [[row for row in found["pulls"].rows if row.readout == one and row.quantity in group]
-                 for one in ("tiger", "apv25")]  # fmt: skip
-        ends = ", ".join(f"{row.low:g}" for row in chips[0]) if title.endswith("from") else ""
-        lines.append([f"{title} {ends}".strip(), *(", ".join(f"{row.core:.2f}" for row in rows) for rows in chips)])
-        lines.append(["beyond 3 [%]", *(", ".join(f"{row.beyond:.1f}" for row in rows) for rows in chips)])
-    return table(["clusters", "`tiger`", "`apv25`"], lines)
-
-
-def _constants(found: Found) -> str:
-    titles = {
-        "k": "(k − k_0)/(S (1 − k_0))", "n": "n − 1/k", "wide": "growth of max(0, ε) by jitter, over (u v σ_t)²",
-        "chance": "growth of the variance by wide charge, over σ_w²",
-    }  # fmt: skip
-    rows = {(row.constant, row.readout): row for row in found["constants"].rows}
-    lines = []
-    for name, used in CONSTANTS.items():
-        digits = 4 if used < 0.1 else 2
-        cells = [
-            f"{row.mean:.{digits}f} ± {row.error:.{digits}f} ({row.spread:.{digits}f})"
-            for row in (rows[name, "tiger"], rows[name, "apv25"])
-        ]
-        lines.append([titles[name], used, *cells])
-    return table(["quantity", "constant", "`tiger`", "`apv25`"], lines)
-
-
-def _off(found: Found) -> str:
-    """Return which constants differ from the mean of a chip by more than the spread of the designs."""
-    off = [row for row in found["constants"].rows if abs(row.mean - CONSTANTS[row.constant]) > row.spread]
-    names = " and ".join(f"{CONSTANTS[row.constant]} differs from the mean of `{row.readout}`" for row in off)
-    return f"{names} by more than the spread." if off else "All constants agree with the means within the spread."
-
-
 def _beam(found: Found) -> str:
     head = ["angle", "strips", "charge [fC]", "centroid [µm]", "micro-TPC [µm]", "merged [µm]", "track's angle [µm]"]
     lines = []
@@ -534,10 +349,6 @@ def _effects(found: Found) -> str:
         ]
         lines.append([name, ", ".join(symbols[row.quantity] for row in rows), *cells])
     return table(["tracks", "pulls of", "first pass: width", "mean", "second pass: width", "mean"], lines)
-
-
-def _designs(found: Found) -> str:
-    return span([row.core for row in found["pulls"].rows if row.quantity == "design"])
 
 
 def _gaps() -> dict[str, str]:
@@ -608,9 +419,8 @@ def draw(found: Found) -> Figure:
 PAGE = Page(
     "readout", "docs/methods/readout.md", "8 min",
     {
-        "tracks": (Tracks, measure_tracks), "pulls": (Pull, measure_pulls), "beam": (Beam, measure_beam),
+        "tracks": (Tracks, measure_tracks), "beam": (Beam, measure_beam),
         "ghosts": (Ghosts, measure_ghosts), "pitch": (Pitch, measure_pitches), "effects": (Effect, measure_effects),
-        "constants": (Constant, measure_constants),
     },
     blocks, {"readout-pitch.png": draw},
 )  # fmt: skip

@@ -16,7 +16,6 @@ from cgemit.detector import slabs
 from pages.geant4 import read
 from pages.page import Found, Page, table
 from pages.performance import designs, electrons, fits, peers, scaling, simulation, stages
-from pages.performance.fits import FieldCost
 from pages.performance.scaling import TIMES, Growth, exponent
 from pages.performance.stages import CHAIN, Chain, Cost
 from pages.performance.timing import DETECTOR
@@ -61,28 +60,9 @@ def _scaling(found: Found) -> str:
     return table(["time", "against", "smallest", "largest", "exponent"], lines)
 
 
-def _memory(rows: Sequence[stages.Memory]) -> str:
-    lines = [[row.case, f"{row.tables_bytes:,.0f}", f"{row.peak_bytes:,.0f}"] for row in rows]
-    return table(["tables", "size, bytes per muon", "peak of the process, bytes per muon"], lines)
-
-
 def _peers(rows: Sequence[peers.Peer]) -> str:
     lines = [[row.what, f"{row.acts_us:.1f}", row.isa, f"{row.us:.2f}", f"{row.acts_us / row.us:.1f}"] for row in rows]
     return table(["", "ACTS, µs", "cgemit with", "cgemit, µs", "ratio"], lines)
-
-
-def _peers_fields(rows: Sequence[peers.Peer]) -> str:
-    """Return the times in both fields and their ratio for each program, with the widest instruction set."""
-    widest = rows[-1].isa
-    costs = {(row.what, row.case): row for row in rows if row.isa == widest}
-    lines = []
-    for what in dict.fromkeys(what for what, _ in costs):
-        uniform, solenoid = (costs[what, field] for field in peers.FIELDS)
-        for name, one, other in (
-            ("ACTS", uniform.acts_us, solenoid.acts_us), (f"cgemit, {widest}", uniform.us, solenoid.us)
-        ):  # fmt: skip
-            lines.append([what, name, f"{one:.1f}", f"{other:.1f}", f"{other / one:.2f}"])
-    return table(["", "program", "uniform, µs", "solenoid, µs", "solenoid over uniform"], lines)
 
 
 def _finding(rows: Sequence[peers.Found]) -> str:
@@ -119,25 +99,6 @@ def _cases(rows: Sequence[simulation.CaseCost]) -> str:
     return table(["simulated", "µs per muon", "in products of matrices"], lines)
 
 
-def _fields(rows: Sequence[FieldCost]) -> str:
-    uniform = {row.isa: row.us for row in rows if row.field == "uniform"}
-    lines = [[row.field, f"{row.us:.1f}", f"{row.us / uniform[row.isa]:.2f}"] for row in rows if row.isa == SHOWN[-1]]
-    return table(["field", "µs per muon", "over uniform"], lines)
-
-
-def _readouts(rows: Sequence[simulation.ReadoutCost]) -> str:
-    """Return the times, a straight line through them, and the largest distance from it."""
-    lines, head = [], [""]
-    for readout in dict.fromkeys(row.readout for row in rows):
-        mine = [row for row in rows if (row.isa, row.readout) == (SHOWN[-1], readout)]
-        electrons, us = (np.array([getattr(row, name) for row in mine]) for name in ("electrons", "us"))
-        slope, rest = np.polyfit(electrons, us, 1)
-        off = np.max(np.abs(us / (rest + slope * electrons) - 1))
-        head = [f"{n:.0f} electrons" for n in electrons]
-        lines.append([readout, *(f"{one:.1f}" for one in us), f"{slope:.3f}", f"{rest:.1f}", f"{100 * off:.1f} %"])
-    return table(["readout", *head, "slope, µs per electron", "intercept, µs", "deviation"], lines)
-
-
 def _second_thread(rows: Sequence[Cost]) -> str:
     """Return by which factors a second thread speeds up the stages: their range and median."""
     costs = {(row.isa, row.threads): row for row in rows}
@@ -167,12 +128,10 @@ def blocks(found: Found) -> dict[str, str]:
         "variants": _range([row.variant_ms for row in rows["variants"]]),
         "sweeps": f"{', '.join(sweeps[:-1])} and {sweeps[-1]}",
         "scaling": _scaling(found),
-        "memory": _memory(rows["memory"]),
         "scatterers": str(len(slabs(cg.load(DETECTOR)))),
         "peers": _peers([row for row in rows["peers"] if row.case.startswith("1 GeV")]),
         "peers-slow": _slow_fits(rows["peers"]),
         "peers-machine": f"{found['peers_finding'].about['machine']}; `{every['peers_finding'][0].isa}`",
-        "peers-fields": _peers_fields(every["peers_fields"]),
         "peers-finding": _finding(every["peers_finding"]),
         "electrons": _electrons(every["electrons"]),
         "electrons-machine": f"{found['electrons'].about['machine']}; `{every['electrons'][-1].isa}`",
@@ -180,9 +139,6 @@ def blocks(found: Found) -> dict[str, str]:
             ["program", "µs per muon", "what it does"], [list(row.values()) for row in read("programs.csv")]
         ),
         "simulation": _cases(rows["simulation"]),
-        "simulation-fields": _fields(rows["simulation_fields"]),
-        "fit-fields": _fields(rows["fit_fields"]),
-        "readouts": _readouts(rows["readouts"]),
     }
 
 
@@ -258,20 +214,14 @@ PAGE = Page(
     "10 min, quiet",
     {
         "stages": (Cost, stages.measure_stages),
-        "fits": (fits.OneFit, fits.measure_fits),
         "covariances": (fits.OneCovariance, fits.measure_covariances),
         "curves": (fits.CurveCost, fits.measure_curves),
-        "fit_fields": (FieldCost, fits.measure_fields),
         "chain": (Chain, stages.measure_chain),
         "scaling": (Growth, scaling.measure),
-        "memory": (stages.Memory, stages.measure_memory),
         "simulation": (simulation.CaseCost, simulation.measure_cases),
-        "simulation_fields": (FieldCost, simulation.measure_fields),
-        "readouts": (simulation.ReadoutCost, simulation.measure_readouts),
         "variants": (designs.VariantCost, designs.measure_variants),
         "sweeps": (designs.SweepCost, designs.measure_sweeps),
         "peers": (peers.Peer, peers.measure),
-        "peers_fields": (peers.Peer, peers.measure_fields),
         "peers_finding": (peers.Found, peers.measure_finding),
         "electrons": (electrons.Electrons, electrons.measure),
     },

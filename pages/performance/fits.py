@@ -39,16 +39,6 @@ CURVES = {"fixed azimuth, gaussian": {"phi": 0.0, "readout": "gaussian"}, "binar
 
 
 @dataclass(frozen=True)
-class OneFit:
-    """One fit, us: two iterations with the sides known, as many as it takes to find them out."""
-
-    isa: str
-    hits: float
-    known_us: float
-    unknown_us: float
-
-
-@dataclass(frozen=True)
 class OneCovariance:
     """One covariance, us: of a track alone without budget, of a track of a point with it; and the fit beside them.
 
@@ -68,15 +58,6 @@ class CurveCost:
 
     curve: str
     ms: float
-
-
-@dataclass(frozen=True)
-class FieldCost:
-    """Cost per muon in a field, us."""
-
-    isa: str
-    field: str
-    us: float
 
 
 def one_per_layer(hits: FitHits) -> FitHits:
@@ -113,21 +94,6 @@ def design_muons(known: bool) -> dict[str, Any]:
     return arguments(result, one_per_layer(hits_of(result)), TWO_ITERATIONS if known else ALL_HITS)
 
 
-def measure_fits(_share: float) -> Numbers:
-    """Measure one fit for each instruction set."""
-    known, unknown = design_muons(True), design_muons(False)
-    calls = {
-        "known_us": lambda: _core.reconstruction.fit(**known),
-        "unknown_us": lambda: _core.reconstruction.fit(**unknown),
-    }
-    rows = []
-    for code in isa.available():
-        with instruction_set(code):
-            times = {name: 1e6 * spent / EVENTS for name, spent in fastest(calls, RUNS).items()}
-        rows.append(OneFit(code, len(unknown["hits"]["kind"]) / EVENTS, **times))
-    return Numbers(rows)
-
-
 def measure_covariances(_share: float) -> Numbers:
     """Measure one covariance beside one fit for each instruction set."""
     fitted = design_muons(True)
@@ -161,18 +127,3 @@ def measure_curves(_share: float) -> Numbers:
 
     calls = {name: lambda how=how: curve(how) for name, how in CURVES.items()}
     return Numbers([CurveCost(name, 1e3 * spent) for name, spent in fastest(calls, COVARIANCE_RUNS).items()])
-
-
-def measure_fields(_share: float) -> Numbers:
-    """Measure the fit with the sides to be found out in each field, simulated and fitted, for each instruction set."""
-    calls = {}
-    for field in FIELDS:
-        result = cg.run(cg.load(DETECTOR).with_field(field), GUN, FIELD_EVENTS, SEED)
-        taken = arguments(result, hits_of(result), ALL_HITS)
-        calls[field] = lambda taken=taken: _core.reconstruction.fit(**taken)
-    rows = []
-    for code in isa.available():
-        with instruction_set(code):
-            spent = fastest(calls, FIELD_RUNS)
-        rows += [FieldCost(code, field, 1e6 * seconds / FIELD_EVENTS) for field, seconds in spent.items()]
-    return Numbers(rows)

@@ -17,7 +17,7 @@ import json
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -444,17 +444,6 @@ def measure(_share: float) -> Numbers:
         built = geometry(cylinders(detector), folder)
         rows = [row for case in CASES for row in compare(detector, built, folder, case, ("uniform",), RUNS)["uniform"]]
     return Numbers(rows, about)
-
-
-def measure_fields(_share: float) -> Numbers:
-    """Measure the first case in each field."""
-    about, detector = versions(), load(DETECTOR)
-    with tempfile.TemporaryDirectory() as name:
-        folder, case = Path(name), next(iter(CASES))
-        built = geometry(cylinders(detector), folder)
-        compared = compare(detector, built, folder, case, FIELDS, TURNS)
-    rows = [replace(row, case=field) for field, of_field in compared.items() for row in of_field]
-    return Numbers(rows, about | {"machine": machine()})
 
 
 def measure_finding(_share: float) -> Numbers:

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cgemit as cg
-from cgemit import isa
 from cgemit.detector import Detector, load
-from cgemit.detector.readouts import Apv25Readout, Readout, TigerReadout
 from cgemit.particles.gun import generate
-from cgemit.simulation.digitize import digitizer_of
 from cgemit.simulation.transport import SimulateSettings, simulate
-from cgemit.tables import Table
 from pages.page import Numbers
-from pages.performance.fits import FieldCost
-from pages.performance.timing import DETECTOR, GUN, SEED, fastest, instruction_set, product_us
+from pages.performance.timing import DETECTOR, GUN, SEED, fastest, product_us
 
 EVENTS, RUNS = 4000, 15
 CASES = {
@@ -38,16 +32,6 @@ class CaseCost:
     products: float
 
 
-@dataclass(frozen=True)
-class ReadoutCost:
-    """Digitization and clustering of a muon with a mean number of electrons, us."""
-
-    isa: str
-    readout: str
-    electrons: float
-    us: float
-
-
 def costs_us(calls: dict[str, tuple[Detector, SimulateSettings]]) -> dict[str, float]:
     """Return us per muon of each."""
     particles = generate(GUN, EVENTS, SEED)
@@ -60,45 +44,3 @@ def measure_cases(_share: float) -> Numbers:
     unit, detector = product_us(), load(DETECTOR)
     costs = costs_us({name: (detector, settings) for name, settings in CASES.items()})
     return Numbers([CaseCost(name, cost, cost / unit) for name, cost in costs.items()])
-
-
-def measure_fields(_share: float) -> Numbers:
-    """Measure the default simulation in every field for each instruction set."""
-    calls = {field: (load(DETECTOR).with_field(field), SimulateSettings()) for field in FIELDS}
-    rows = []
-    for code in isa.available():
-        with instruction_set(code):
-            rows += [FieldCost(code, field, us) for field, us in costs_us(calls).items()]
-    return Numbers(rows)
-
-
-def muons(n: int = READOUT_MUONS) -> cg.Result:
-    """Return muons of 1 GeV/c with their ionization clusters."""
-    return cg.run(DETECTOR, GUN, n, READOUT_SEED, readout="tiger", until="simulate", workers=1)
-
-
-def with_electrons(steps: Table, factor: int) -> Table:
-    """Return the steps with so many times the electrons."""
-    return steps.with_columns(n_electrons=(factor * steps["n_electrons"]).astype(steps["n_electrons"].dtype))
-
-
-def read_out(result: cg.Result, readout: Readout, steps: Table) -> None:
-    """Digitize and cluster."""
-    (group,) = result.detector.with_readout(readout).groups
-    digis = digitizer_of(readout).digitize(group, result.truths, steps, READOUT_SEED)
-    cg.cluster(result.detector, digis, readout=readout)
-
-
-def measure_readouts(_share: float) -> Numbers:
-    """Measure the analog readouts against the number of electrons of the same muons."""
-    result, rows = muons(), []
-    for code in isa.available():
-        with instruction_set(code):
-            for readout in (TigerReadout(), Apv25Readout()):
-                for factor in FACTORS:
-                    steps = with_electrons(result.steps, factor)
-                    calls = {"all": lambda one=readout, steps=steps: read_out(result, one, steps)}
-                    us = 1e6 * fastest(calls, READOUT_RUNS)["all"] / READOUT_MUONS
-                    electrons = float(steps["n_electrons"].sum()) / READOUT_MUONS
-                    rows.append(ReadoutCost(code, readout.name, electrons, us))
-    return Numbers(rows)

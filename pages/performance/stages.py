@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +14,7 @@ from cgemit import _core, helix
 from cgemit.base.arrays import Floats
 from cgemit.base.isa import available
 from cgemit.chain.executor import PARTICLES
-from cgemit.chain.run import Job, run, run_chunk
+from cgemit.chain.run import Job, run_chunk
 from cgemit.chain.settings import Settings
 from cgemit.detector import Detector, compiled, load
 from cgemit.particles.gun import Gun, generate
@@ -30,7 +27,7 @@ from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.simulation.transport import core_arguments as simulate_arguments
 from cgemit.tables import Table
 from cgemit.truth import finder
-from pages.page import ROOT, Numbers
+from pages.page import Numbers
 from pages.performance.timing import DETECTOR, GUN, SEED, fastest, instruction_set, machine, product_us
 
 #: The timed stages in the order of the chain; `_kernel`: the compiled core alone, on prepared arrays.
@@ -84,15 +81,6 @@ class Chain:
     match: float
     all: float
     product: float
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Bytes per muon: of the tables, and of the process at its peak."""
-
-    case: str
-    tables_bytes: float
-    peak_bytes: float
 
 
 def stage_times(threads: int, events: int = EVENTS, runs: int = RUNS) -> dict[str, float]:
@@ -218,30 +206,4 @@ def measure_chain(_share: float) -> Numbers:
         before = product_us(time.perf_counter)
         times = chain_times(events)
         rows.append(Chain(events, **times, product=min(before, product_us(time.perf_counter))))
-    return Numbers(rows)
-
-
-def print_memory(events: int, residuals: bool) -> None:
-    """Run the chain and print the peak of the process and the bytes of its tables."""
-    result = run(DETECTOR, GUN, events, SEED, settings=Settings(fit=FitSettings(residuals=residuals)), workers=1)
-    tables = sum(column.nbytes for table in result.tables.values() for column in table.columns.values())
-    # ru_maxrss is in KiB on Linux, in bytes on macOS.
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024), tables)
-
-
-def measure_memory(_share: float) -> Numbers:
-    """Return what more muons need, in processes of their own, with all tables joined."""
-    rows = []
-    for case, residuals in MEMORY_CASES.items():
-        found = []
-        for count in MEMORY_COUNTS:
-            program = f"from pages.performance.stages import print_memory; print_memory({count}, {residuals})"
-            done = subprocess.run(
-                [sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=ROOT
-            )  # fmt: skip
-            found.append([int(text) for text in done.stdout.split()])
-        peak, tables = (
-            (more - less) / (MEMORY_COUNTS[1] - MEMORY_COUNTS[0]) for less, more in zip(*found, strict=True)
-        )
-        rows.append(Memory(case, tables, peak))
     return Numbers(rows)

@@ -10,10 +10,8 @@ import pytest
 
 from cgemit.base import isa
 from cgemit.detector import field_at, load
-from cgemit.detector.readouts import Apv25Readout, TigerReadout
-from cgemit.simulation.digitize import digitizer_of
 from pages.page import MissingToolError, Numbers, Page
-from pages.performance import PAGE, blocks, electrons, peers, scaling, simulation, stages
+from pages.performance import PAGE, blocks, electrons, peers, scaling, stages
 from pages.performance.timing import DETECTOR, GUN, fastest, instruction_set
 
 
@@ -64,8 +62,8 @@ def test_a_part_that_lacks_a_tool_stays_as_it_is(tmp_path: Path) -> None:
     def lacking(share: float) -> Numbers:
         raise MissingToolError("it needs a tool")
 
-    page = Page("one", PAGE.file, "", {"memory": (stages.Memory, lacking)})
-    assert page.measure(tmp_path) == ["one: memory is not renewed: it needs a tool"]
+    page = Page("one", PAGE.file, "", {"chain": (stages.Chain, lacking)})
+    assert page.measure(tmp_path) == ["one: chain is not renewed: it needs a tool"]
     assert not list(tmp_path.iterdir())
 
 
@@ -88,17 +86,6 @@ def test_times_are_labelled_with_plain_numbers() -> None:
         assert set(ends) <= set(numbers) <= {0.5, 1, 2, 5, 10, 20, 50, 100}
         assert not any(text.get_text() for text in axes.get_yticklabels(minor=True))
         plt.close(figure)
-
-
-def test_electrons_of_the_readout_are_multiplied() -> None:
-    """A step has so many times the electrons, and the strips so many times the charge."""
-    muons = simulation.muons(30)
-    more = simulation.with_electrons(muons.steps, 4)
-    assert more["n_electrons"].sum() == 4 * muons.steps["n_electrons"].sum() > 0
-    for one in (TigerReadout(), Apv25Readout()):
-        digitizer, samples, (group,) = digitizer_of(one), (muons.steps, more), muons.detector.with_readout(one).groups
-        charge = [digitizer.digitize(group, muons.truths, steps, 1)["charge"].sum() for steps in samples]
-        assert 2.5 < charge[1] / charge[0] < 6  # thresholds and saturation change the factor
 
 
 def test_exponents_are_those_of_power_laws() -> None:
@@ -173,13 +160,6 @@ def test_tables_of_peers_show_what_was_measured() -> None:
         assert float(cells[3].rstrip("%")) == pytest.approx(100 * row.acts_found, abs=0.051)
         assert float(cells[6].rstrip("%")) == pytest.approx(100 * row.found, abs=0.051)
         assert float(cells[7]) == pytest.approx(acts / own, abs=0.051)
-    costs = {(row.what, row.case, row.isa): row for row in found["peers_fields"].rows}
-    for what, program, *times in _cells(blocks(found)["peers-fields"]):
-        name, _, isa = program.partition(", ")
-        uniform, solenoid = (costs[what, field, isa or "scalar"] for field in peers.FIELDS)
-        one, other = (row.acts_us if name == "ACTS" else row.us for row in (uniform, solenoid))
-        assert [float(time) for time in times[:2]] == pytest.approx([one, other], abs=0.051)
-        assert float(times[2]) == pytest.approx(other / one, abs=0.0051)
 
 
 def test_the_table_of_electrons_shows_what_was_measured() -> None:
