@@ -277,10 +277,15 @@ def hit_residuals(result: Result) -> HitResiduals:
     >>> table.view[:3].tolist(), bool((table.pull < 2).all())
     ([0.0, 0.0, 0.0], True)
     """
-    if not {"tracks", "candidate_hits"} <= result.tables.keys():
-        raise ValueError("hit_residuals: got a result without tracks and their hits, expected one of a fit")
+    _check_fitted(result, "hit_residuals")
     clusters, wires = result.fitted_hits
     return residuals_of(result, clusters, wires)
+
+
+def _check_fitted(result: Result, function: str) -> None:
+    """Raise an error of a function if a result has no tracks with their hits."""
+    if not {"tracks", "candidate_hits"} <= result.tables.keys():
+        raise ValueError(f"{function}: got a result without tracks and their hits, expected one of a fit")
 
 
 def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
@@ -554,8 +559,7 @@ def layer_crossings(result: Result, near: float = NEAR) -> LayerCrossings:
     >>> sorted(set(found.layer.tolist())), bool(abs(found.p - 1).max() < 0.1)
     ([0, 1, 2], True)
     """
-    if not {"tracks", "candidate_hits"} <= result.tables.keys():
-        raise ValueError("layer_crossings: got a result without tracks and their hits, expected one of a fit")
+    _check_fitted(result, "layer_crossings")
     if not near > 0:
         raise ValueError(f"layer_crossings: near: got {near}, expected a positive distance in mm")
     parts = [_crossings(result, number, near) for number in cgem_numbers(result.detector)]

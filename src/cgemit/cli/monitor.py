@@ -28,14 +28,7 @@ _OF_FILES = {"detector": "detector", "set": "overrides"} | {
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("file", metavar="FILE", help="a .raw, .rec or .rtraw file, or the folder of a run")
-    options.add_detector(parser, required=False)
-    options.add_readout(parser)
-    parser.add_argument(
-        "--points", choices=("strips", "file"),
-        help="clusters of a file: made of the strips, or those of the file (default: those of the file if it has some)",
-    )  # fmt: skip
-    options.add_hypothesis(parser)
+    options.add_events(parser, or_folder=True)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     options.add_output(parser, "folder for index.html, pictures, monitor.json", required=True)
     options.add_common(parser)

@@ -419,6 +419,19 @@ def add_hypothesis(parser: argparse.ArgumentParser, *, several: bool = False) ->
     )  # fmt: skip
 
 
+def add_events(parser: argparse.ArgumentParser, *, or_folder: bool = False) -> None:
+    """Add a file of measured events, `or_folder` of a run, and how its events are reconstructed."""
+    folder = ", or the folder of a run" if or_folder else ""
+    parser.add_argument("file", metavar="FILE", help=f"a .raw, .rec or .rtraw file{folder}")
+    add_detector(parser, required=not or_folder)
+    add_readout(parser)
+    parser.add_argument(
+        "--points", choices=("strips", "file"),
+        help="clusters: made of the strips, or those of the file (default: those of the file if it has some)",
+    )  # fmt: skip
+    add_hypothesis(parser)
+
+
 def _options(arguments: argparse.Namespace) -> list[Option]:
     """Return the options that stand for a setting and were given."""
     options = [Option("--no-deltas", "simulate.deltas", False)] if getattr(arguments, "no_deltas", False) else []

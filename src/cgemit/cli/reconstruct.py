@@ -40,18 +40,11 @@ _COLUMNS = {
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("file", metavar="FILE", help="a .raw, .rec or .rtraw file")
-    options.add_detector(parser)
-    options.add_readout(parser)
-    parser.add_argument(
-        "--points", choices=("strips", "file"),
-        help="clusters: made of the strips, or those of the file (default: those of the file if it has some)",
-    )  # fmt: skip
+    options.add_events(parser)
     parser.add_argument(
         "--event", type=options.event, action="append", metavar="N",
         help="event to draw, counted from 0 in the file; may be repeated (default: that with most hits on tracks)",
     )  # fmt: skip
-    options.add_hypothesis(parser)
     parser.add_argument(
         "--format", choices=("csv", "parquet", "root"), default="csv",
         help="of tracks, points and residuals, and, but for csv, of the other tables (default csv, and npz for those)",
