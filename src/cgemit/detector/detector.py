@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problem, Problems, shown
 from cgemit.detector import check, delphes, export, variants
 from cgemit.detector.alignment import (
@@ -345,6 +346,17 @@ class ReadoutGroup:
         is_own = np.zeros(layers, np.bool_)
         is_own[list(self.numbers)] = True
         return np.asarray(is_own[layer])
+
+    def columns(self, names: Sequence[str], rows: Sequence[Sequence[float]]) -> dict[str, Floats]:
+        """Return a row of numbers for each of the group's layers as columns by name; see `among_all`.
+
+        Parameters
+        ----------
+        names : sequence of str
+        rows : sequence of sequences of float
+        """
+        table = self.among_all(np.array(rows, np.float64).reshape(-1, len(names)))
+        return dict(zip(names, table.T.copy(), strict=True))
 
     def among_all(
         self, values: npt.NDArray[np.float64], views: int = 1, fill: float = np.nan

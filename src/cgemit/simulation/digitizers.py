@@ -96,11 +96,10 @@ class PositionDigitizer(Digitizer):
 
     def digitize(self, group: ReadoutGroup, truths: Table, steps: Table, seed: int) -> Table:
         """Return the positions, see `Digitizer.digitize`."""
-        rows = np.array([self.readout.precision(layer.precision) for layer in group.layers], np.float64)
-        columns = group.among_all(rows.reshape(-1, len(Precision._fields))).T
+        rows = [self.readout.precision(layer.precision) for layer in group.layers]
         digis = _core.simulation.smear_positions(
             compiled(group.detector), dict(truths.columns), gain=self.readout.gain, w_values=w_values(group.detector),
-            errors=dict(zip(Precision._fields, columns.copy(), strict=True)), seed=seed,
+            errors=group.columns(Precision._fields, rows), seed=seed,
         )  # fmt: skip
         return Table("digis", digis, **truths.cover)
 

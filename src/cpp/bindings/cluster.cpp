@@ -33,17 +33,16 @@ py::dict of_strips(const Detector& detector, const py::dict& table, const Array<
   return to_dict(std::move(found));
 }
 
-py::dict of_positions(const Detector& detector, const py::dict& table, const Array<double>& err_x,
-                      const Array<double>& err_v) {
+py::dict of_positions(const Detector& detector, const py::dict& table, const py::dict& errors) {
   Inputs in(table, "digis");
   auto digis = in.read<DigiView>();
   digis.position = in.get<double>("position");
-  const auto layers = static_cast<py::ssize_t>(detector.layers.size());
-  const auto x = column(err_x, "err_x", layers), v = column(err_v, "err_v", layers);
+  Inputs of_layers(errors, "errors", static_cast<py::ssize_t>(detector.layers.size()));
+  const auto rows = of_layers.read_rows<PositionErrors>();
   Columns<ClusterRow> found;
   {
     py::gil_scoped_release release;
-    found = clusters_of_positions(detector, digis, x, v);
+    found = clusters_of_positions(detector, digis, rows);
   }
   return to_dict(std::move(found));
 }
@@ -176,8 +175,7 @@ void bind_cluster(py::module_& module) {
              py::arg_v("masked", Array<std::int32_t>(0), "..."), py::arg("bridge") = 0,
              "Columns of clusters from columns of digis: contiguous strips.");
   module.def("clusters_of_positions", &of_positions, py::arg("detector"), py::arg("digis"), py::kw_only(),
-             py::arg("err_x"), py::arg("err_v"),
-             "Columns of clusters from columns of digis: readout without strips.");
+             py::arg("errors"), "Columns of clusters from columns of digis: readout without strips.");
   module.def("find_charge_time_clusters", &with_times, py::arg("detector"), py::arg("digis"), py::kw_only(),
              py::arg("timing"), py::arg("delays"), py::arg("chip"), py::arg("planes"), py::arg("shares"),
              py::arg("estimator"), py::arg("missing"), py::arg("edge"),

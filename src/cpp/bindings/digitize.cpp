@@ -37,11 +37,6 @@ py::dict strips(const Detector& detector, const py::dict& table, const py::dict&
   return to_dict(std::move(digis));
 }
 
-std::vector<PositionErrors> position_errors(const py::dict& table, const Detector& detector) {
-  Inputs in(table, "errors", static_cast<py::ssize_t>(detector.layers.size()));
-  return in.read_rows<PositionErrors>();
-}
-
 Array<bool> seen(const Detector& detector, const py::dict& table, const Array<double>& efficiency,
                  std::uint64_t seed) {
   Inputs in(table, "truths");
@@ -56,9 +51,10 @@ py::dict smeared(const Detector& detector, const py::dict& table, double gain, c
                  const py::dict& errors, std::uint64_t seed) {
   Inputs in(table, "truths");
   const auto truths = in.read<TruthColumns>();
-  const std::vector<PositionErrors> of_layers = position_errors(errors, detector);
+  Inputs of_layers(errors, "errors", static_cast<py::ssize_t>(detector.layers.size()));
+  const auto rows = of_layers.read_rows<PositionErrors>();
   const GaussianReadout readout{
-      .errors = of_layers, .gain = gain, .w_values = per_layer(w_values, detector), .seed = seed};
+      .errors = rows, .gain = gain, .w_values = per_layer(w_values, detector), .seed = seed};
   Columns<DigiRow> digis;
   {
     py::gil_scoped_release release;

@@ -7,7 +7,7 @@ import numpy as np
 from cgemit import _core
 from cgemit.base.arrays import Floats
 from cgemit.detector import ReadoutGroup, compiled
-from cgemit.detector.readouts import PositionReadout
+from cgemit.detector.readouts import PositionReadout, Precision
 from cgemit.reconstruction.clusterers.clusterer import Clusterer, ClusterSettings
 from cgemit.tables import Table
 
@@ -27,20 +27,23 @@ class PositionClusterer(Clusterer):
         ValueError
             If a sheet has not as many X as V positions: the n-th of both belong together.
         """
-        err_x, err_v = (group.among_all(column) for column in self._errors(group))
+        errors = group.columns(Precision._fields, self._precisions(group))
         columns = _core.reconstruction.clusters_of_positions(
-            compiled(group.detector), dict(digis.columns), err_x=err_x, err_v=err_v
+            compiled(group.detector), dict(digis.columns), errors=errors
         )
         return Table("clusters", columns, **digis.cover)
 
     def expected_errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
         """Return the errors of the readout, see `Clusterer.expected_errors`."""
         # Where a coordinate is not measured, its error is not asked for; 0 would stand for that of a number of strips.
-        x, v = (np.where(column > 0, column, 1.0) for column in self._errors(group))
-        return x, v
+        rows = self._precisions(group)
+        return np.array([row.sigma_x or 1.0 for row in rows]), np.array([row.sigma_v or 1.0 for row in rows])
 
-    def _errors(self, group: ReadoutGroup) -> tuple[Floats, Floats]:
-        """Return the errors of X and V, (layers,), mm; 0 where a layer does not measure."""
-        found = [self.readout.precision(layer.precision).errors(layer.pitch_x, layer.pitch_v) for layer in group.layers]
-        x, v = np.array(found, np.float64).reshape(-1, 2).T.copy()
-        return x, v
+    def _precisions(self, group: ReadoutGroup) -> list[Precision]:
+        """Return how each layer measures, with errors of middles of strips; 0 where it does not measure."""
+        rows = []
+        for layer in group.layers:
+            own = self.readout.precision(layer.precision)
+            x, v = own.errors(layer.pitch_x, layer.pitch_v)
+            rows.append(own._replace(sigma_x=x, sigma_v=v))
+        return rows

@@ -15,8 +15,8 @@ void check(const Detector& detector, const DigiView& digis) {
   }
 }
 
-ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, std::size_t row, double err_x,
-                        double err_v) {
+ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, std::size_t row,
+                        const PositionErrors& errors) {
   ClusterRow cluster{digis.event[row], digis.layer[row], digis.sheet[row], ClusterView{digis.view[row]}};
   cluster.charge = digis.charge[row];
   cluster.time = digis.time[row];
@@ -26,11 +26,11 @@ ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, std:
   cluster.method = ClusterMethod::positions;
   if (cluster.view == ClusterView::x) {
     cluster.x = digis.position[row];
-    cluster.err_x = err_x;
+    cluster.err_x = errors.sigma_x;
     set_azimuth(layer, cluster);
   } else {
     cluster.v = digis.position[row];
-    cluster.err_v = err_v;
+    cluster.err_v = errors.sigma_v;
   }
   return cluster;
 }
@@ -62,7 +62,7 @@ void write_sheet(const MeasuringLayer& layer, std::span<const ClusterRow> views,
 }  // namespace
 
 Columns<ClusterRow> clusters_of_positions(const Detector& detector, const DigiView& digis,
-                                          std::span<const double> err_x, std::span<const double> err_v) {
+                                          std::span<const PositionErrors> errors) {
   check(detector, digis);
   const std::vector<std::size_t> order = by_place(digis);
   Columns<ClusterRow> clusters;
@@ -72,7 +72,7 @@ Columns<ClusterRow> clusters_of_positions(const Detector& detector, const DigiVi
     const std::size_t row = order[i];
     const auto index = static_cast<std::size_t>(digis.layer[row]);
     const MeasuringLayer& layer = detector.layers[index];
-    sheet.push_back(make_cluster(layer, digis, row, err_x[index], err_v[index]));
+    sheet.push_back(make_cluster(layer, digis, row, errors[index]));
     if (i + 1 < order.size() && digis.sheet_of(order[i + 1]) == digis.sheet_of(row)) continue;
     write_sheet(layer, sheet, clusters);
     sheet.clear();

@@ -4,6 +4,7 @@
 #include <span>
 
 #include "readout/cluster_rows.hpp"
+#include "readout/position_errors.hpp"
 #include "reconstruction/cluster/digis.hpp"
 
 namespace cgemit {
@@ -13,6 +14,6 @@ namespace cgemit {
 // layer, sheet, then X, V and XV clusters. Throws std::invalid_argument if a sheet of two views does not have
 // as many X as V positions.
 Columns<ClusterRow> clusters_of_positions(const Detector& detector, const DigiView& digis,
-                                          std::span<const double> err_x, std::span<const double> err_v);
+                                          std::span<const PositionErrors> errors);
 
 }  // namespace cgemit

@@ -4,26 +4,14 @@
 
 #include <cstdint>
 #include <span>
-#include <tuple>
 
 #include "common/columns.hpp"
 #include "detector/detector.hpp"
+#include "readout/position_errors.hpp"
 #include "simulation/digitize/digis.hpp"
 #include "simulation/digitize/truths.hpp"
 
 namespace cgemit {
-
-// How one layer measures positions.
-struct PositionErrors {
-  double sigma_x, sigma_v;  // mm, of X = r_readout dphi and of V; 0: the middle of a strip
-  double sigma_time;        // ns
-
-  static constexpr auto columns() {
-    return std::tuple(Column("sigma_x", &PositionErrors::sigma_x),
-                      Column("sigma_v", &PositionErrors::sigma_v),
-                      Column("sigma_time", &PositionErrors::sigma_time));
-  }
-};
 
 struct GaussianReadout {
   std::span<const PositionErrors> errors;  // of each layer
