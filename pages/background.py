@@ -28,10 +28,6 @@ SHARES = {
 }  # fmt: skip
 #: Runs of 1, 2, ... 6 and of 7 or more neighbouring cells.
 RUNS = (646, 167, 52, 39, 25, 21, 51)
-#: Hits of an event: layers 0-7, layers 8-42; share of hits without a neighbour, %.
-INNER, OUTER, ALONE = 65, 162, 28
-#: Clusters of an event in the CGEM layers in 1 us, extrapolated from the wires.
-CLUSTERS = (4.9, 3.0, 2.9)
 #: Row of the table of effects -> level, keys of the background with their values.
 EFFECTS = {
     "nothing, `bes2009`": ("bes2009", {}),
@@ -227,24 +223,12 @@ def values(found: Found) -> dict[str, np.ndarray]:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return the table."""
-    got = values(found)
-    share = 100 * got["runs"] / got["runs"].sum()
-    measured = 100 * np.array(RUNS) / sum(RUNS)
-    rows = [
-        ("hits an event, layers 0–7 / 8–42", f"{INNER} / {OUTER}", _joined(got["hits"], 0)),
-        ("hits without a neighbour in their layer", f"{ALONE} %", f"{got['alone'][0]:.0f} %"),
-        ("runs of 1 / 2 / 3 / 4 / 5 / 6 / 7 or more cells, %", _joined(measured, 0), _joined(share, 0)),
-        *((f"cells of layer {layer} with a hit, %", f"{value:g}", f"{got['shares'][layer]:.1f}")
-          for layer, value in SHARES.items() if layer in (0, 8, 20, 42)),
-        ("clusters in X an event, L1 / L2 / L3 (extrapolated)", _joined(CLUSTERS, 1), _joined(got["clusters"], 1)),
-    ]  # fmt: skip
+    """Return the tables and numbers of the text."""
     errors = {f"start-{row.tracks}": f"{row.error:.1f}" for row in found["start_times"].rows}
     cells = {f"cells-{row.half_turns}": f"{row.cells:.0f}" for row in found["electrons"].rows}
     return {
         **errors,
         **cells,
-        "generated": table(["", "measured", "generated"], rows),
         "effects": _effects(found["effects"].rows),
         "times": _times(found["times"].rows),
     }
@@ -268,10 +252,6 @@ def _times(rows: Sequence[Times]) -> str:
     cells = {(row.times, row.detector): with_error(row.core, row.error) for row in rows}
     lines = [[label, *(cells[label, name] for name in CHAMBERS)] for label in TIMES]
     return table(["drift times", *(f"`{name}`, σ(p) MeV/c" for name in CHAMBERS)], lines)
-
-
-def _joined(numbers: object, digits: int) -> str:
-    return " / ".join(f"{value:.{digits}f}" for value in np.asarray(numbers))
 
 
 def draw(found: Found) -> Figure:

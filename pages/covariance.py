@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import count, product, repeat
-
-import numpy as np
+from itertools import count, repeat
 
 import cgemit as cg
 from cgemit.analysis.quantities import QUANTITIES as SYMBOLS
@@ -27,12 +25,6 @@ ANGLES = (0.0, 0.5, 0.8, 0.9)
 QUANTITIES = ("dr", "phi0", "kappa", "dz", "tanl", "p")
 SAMPLES = 1024  # tracks that a point of the covariance averages
 TRACKS = 50_000  # simulated tracks of a point
-#: Samples whose cores are compared with those of `MANY` ones, cos(theta) and momenta, GeV/c.
-FEW, MANY = (127, 31), 8191
-CONES: dict[str, tuple[tuple[float | tuple[float, float], ...], str]] = {
-    "fixed": ((0.0, 0.5, 0.8), "0, 0.5, 0.8"), "range": (((-0.93, 0.93),), "uniform in ±0.93"),
-}  # fmt: skip
-CURVE = np.geomspace(0.2, 2.0, 30)
 
 #: Readout, simulation and the limit of each mode: a fraction, or three standard errors where these are larger.
 MODES = {
@@ -114,36 +106,6 @@ def measure(share: float) -> Numbers:
     return Numbers(rows, {"events": f"{tracks} tracks"})
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """Difference of a core width from that of many samples: median and largest of a curve, %."""
-
-    samples: int
-    cone: str
-    quantity: str
-    median: float
-    largest: float
-
-
-def measure_samples(share: float) -> Numbers:
-    """Compare averages over few and many tracks, mu- in the design detector; the share is not used."""
-    rows = []
-    for samples, (cone, (angles, _)) in product(FEW, CONES.items()):
-        pairs = [[cg.analytic(DESIGN, "mu-", CURVE, angle, samples=n) for n in (samples, MANY)] for angle in angles]
-        for quantity in ("p", "dr", "dz"):
-            off = np.abs([few.sigma(quantity) / many.sigma(quantity) - 1 for few, many in pairs])
-            rows.append(Sampling(samples, cone, quantity, 100 * float(np.median(off)), 100 * float(off.max())))
-    return Numbers(rows)
-
-
-def _samples(found: Found) -> str:
-    lines = []
-    for samples, (cone, (_, title)) in product(FEW, CONES.items()):
-        rows = [row for row in found["samples"].rows if (row.samples, row.cone) == (samples, cone)]
-        lines.append([samples, title, *(f"{row.median:.2g}, {row.largest:.2g}" for row in rows)])
-    return table(["tracks", "cos(theta)", "σ(p)", "σ(d_rho)", "σ(d_z)"], lines)
-
-
 def _pipe() -> str:
     """Return the share of the beam pipe in the variance of d_rho, and by how much it falls without a pipe."""
     whole, without = (
@@ -212,7 +174,6 @@ def blocks(found: Found) -> dict[str, str]:
         "checks-sample": f"{len(rows) // len(QUANTITIES)} points (preset, particle, momentum, angle), with "
         f"{found['ratios'].about['events']} each",
         "mean-default": f"{sum(tails) / len(tails):.3f}",
-        "samples": _samples(found),
         "pipe": _pipe(),
         "checks": table(["mode", "detector", "mean ratios", "fail", "farthest from 1"], lines),
     }
@@ -229,6 +190,6 @@ def failures(found: Found) -> list[str]:
 
 PAGE = Page(
     "covariance", "docs/methods/analytic.md", "12 min",
-    {"ratios": (Ratio, measure), "samples": (Sampling, measure_samples)}, blocks,
+    {"ratios": (Ratio, measure)}, blocks,
     {"validation-covariance.png": draw}, failures,
 )  # fmt: skip

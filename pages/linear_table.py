@@ -21,7 +21,7 @@ from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.study import resolution
 from pages.optimal import WIRE, Hit, Stack, TracedSlab, V, X, errors, optimum, stack_of
-from pages.page import Found, Numbers, Page, share_of, table
+from pages.page import Found, Numbers, Page, share_of
 
 DESIGN, AS_BUILT, IDC = "besiii-cgem-design", "besiii-cgem", "besiii-idc"
 #: p (GeV/c) and cos(theta): sigma(d_rho) um, sigma(d_z) mm, sigma(p) MeV/c of mu-. Exact helix; Highland's formula with
@@ -93,15 +93,6 @@ STEPS: dict[str, tuple[Stack, bool]] = {
     "scattering from elements, pipe of the preset": (lossless_stack, True),
     "energy loss": (stack_of, True),
     "all cells that fire": (stack_of, False),
-}
-
-
-#: Titles of the steps on the page.
-TITLES = {
-    "the table": "independent program",
-    "the table's model": "same model, `pages/optimal.py`",
-    "energy loss": "with energy loss",
-    "all cells that fire": "with all cells that fire",
 }
 
 
@@ -178,20 +169,8 @@ def measure(share: float) -> Numbers:
 
 
 def blocks(found: Found) -> dict[str, str]:
-    """Return the table of the steps of one detector and momentum."""
-    head = ["", "wires", "sigma(d_rho), µm", "sigma(d_z), mm", "sigma(p), MeV/c"]
-    lines = [
-        [
-            TITLES.get(row.step, row.step),
-            f"{row.wires:.1f}",
-            f"{row.dr:.4g}",
-            f"{row.dz:.4g}",
-            f"{row.sigma_p:.4g}",
-        ]
-        for row in found["steps"].rows
-        if (row.detector, row.p) == (DESIGN, 1.0)
-    ]
-    return {"steps": table(head, lines), **_agreement(found["steps"].rows)}
+    """Return how far the programs, and simulated tracks, agree."""
+    return _agreement(found["steps"].rows)
 
 
 def _agreement(rows: Sequence[Step]) -> dict[str, str]:

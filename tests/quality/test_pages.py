@@ -7,10 +7,12 @@ test_deltas.py, test_validation_fit.py, test_optimal_estimate.py (widths) and te
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from cgemit.detector.readouts import READOUTS
 from cgemit.draw.style import mathematical
 from cgemit.particles.species import species
 from cgemit.tables.show import with_error
-from pages import alignment, background, covariance, deltas, fit, geant4, optimal, paper, settings
+from pages import alignment, background, covariance, deltas, fit, geant4, optimal, paper
 from pages.__main__ import PAGES, main, problems
 from pages.fit import FitResults
 from pages.page import DATA, ROOT, Numbers, Page, put, read_numbers, torn_lines, write_numbers
@@ -284,14 +286,27 @@ def test_the_picture_shows_every_gaussian_ratio() -> None:
 # -- settings, alignment, background
 
 
+def meanings(cls: type[Any]) -> dict[str, str]:
+    """Return the description of each setting from the docstrings of a class and those it is made from."""
+    found: dict[str, str] = {}
+    for one in reversed(cls.__mro__):
+        section = re.search(
+            r"Attributes\n-+\n(.*?)(?:\n\n|\Z)", inspect.cleandoc(vars(one).get("__doc__") or ""), re.DOTALL
+        )
+        entries = re.split(r"^(\w+(?:, \w+)*) : .*\n?", section[1] if section else "", flags=re.MULTILINE)[1:]
+        for names, text in zip(entries[::2], entries[1::2], strict=True):
+            found |= dict.fromkeys(names.split(", "), " ".join(text.split()))
+    return {name: meaning for name, meaning in found.items() if name in kinds_of(cls)}  # without class variables
+
+
 def test_every_setting_has_a_meaning() -> None:
     for cls in [*kinds_of(Settings).values(), *READOUTS.values()]:
-        assert settings.meanings(cls).keys() == kinds_of(cls).keys(), cls.__name__
-        assert all(settings.meanings(cls).values()), cls.__name__
+        assert meanings(cls).keys() == kinds_of(cls).keys(), cls.__name__
+        assert all(meanings(cls).values()), cls.__name__
 
 
 def test_the_examples_of_settings_are_right() -> None:
-    page = (ROOT / settings.PAGE.file).read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "settings.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```(python|toml)\n(.*?)```", page, re.DOTALL)
     names: dict[str, object] = {}
     exec(next(code for kind, code in blocks if kind == "python"), names)
