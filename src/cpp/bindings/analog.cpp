@@ -57,14 +57,12 @@ Chip chip(const py::dict& values) {
   const double sample_delay = in["sample_delay"], clock = in["clock"];
   const int samples = in["samples"];
   in.check();
-  if (kind == Tiger::name)
-    return Tiger{.amplifier = amplifier,
-                 .timing = shaper(timing),
-                 .charge = shaper(charge),
-                 .sample_delay = sample_delay};
-  if (kind == Apv25::name)
-    return Apv25{.amplifier = amplifier, .timing = shaper(timing), .clock = clock, .samples = samples};
-  throw std::invalid_argument("chip kind: got " + kind + ", expected tiger or apv25");
+  return chip_of(kind, {.amplifier = amplifier,
+                        .timing = shaper(timing),
+                        .charge = shaper(charge),
+                        .sample_delay = sample_delay,
+                        .clock = clock,
+                        .samples = samples});
 }
 
 // ns: delays and times of a chip and of the drift are at most as long.
@@ -113,24 +111,19 @@ void check(Problems& problems, const Amplifier& amplifier) {
   part.within("saturation", amplifier.saturation, 0, HUGE_VAL);
 }
 
-void check(Problems& problems, const Tiger& chip) {
+void check(Problems& problems, const ChipNumbers& chip) {
+  constexpr double most_samples = 10'000;
   check(problems, "timing", chip.timing);
   check(problems, "charge", chip.charge);
   check(problems, chip.amplifier);
-  Part(problems, "chip").within("sample_delay", chip.sample_delay, -longest, longest);
-}
-
-void check(Problems& problems, const Apv25& chip) {
-  constexpr double most_samples = 10'000;
-  check(problems, "timing", chip.timing);
-  check(problems, chip.amplifier);
   const Part part(problems, "chip");
+  part.within("sample_delay", chip.sample_delay, -longest, longest);
   part.within("samples", chip.samples, 1, most_samples);
   part.within("clock", chip.clock, tiny, longest / most_samples);
 }
 
 void check(Problems& problems, const Chip& chip) {
-  std::visit([&](const auto& one) { check(problems, one); }, chip);
+  std::visit([&](const ChipNumbers& one) { check(problems, one); }, chip);
 }
 
 // `charges`: an array (planes, places, nodes, strips); `reach`: the strips on either side of an avalanche.

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <array>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 namespace cgemit {
@@ -187,5 +189,22 @@ void Apv25::delays(std::span<const double> steps, const ChargesAbove& of, std::s
   const double at = static_cast<double>(k) - (above - 0.5 * top) / (above - sample_before(k));
   std::ranges::fill(times, (at * ticks + begin) * time_step + timing.delay);
 }
+
+namespace {
+
+template <std::size_t i = 0>
+Chip chip_from(const std::string& name, const ChipNumbers& numbers, const std::string& known) {
+  if constexpr (i < std::variant_size_v<Chip>) {
+    using Kind = std::variant_alternative_t<i, Chip>;
+    if (name == Kind::name) return Kind{numbers};
+    return chip_from<i + 1>(name, numbers, known + (i > 0 ? " or " : "") + Kind::name);
+  } else {
+    throw std::invalid_argument("chip kind: got " + name + ", expected " + known);
+  }
+}
+
+}  // namespace
+
+Chip chip_of(const std::string& name, const ChipNumbers& numbers) { return chip_from(name, numbers, ""); }
 
 }  // namespace cgemit

@@ -1,5 +1,5 @@
-// Front-end chips: what a strip's current becomes, and when (docs/methods/readout.md). A chip is a struct
-// with a name, `response`, `measure` and `delays`, and one of the alternatives of `Chip`.
+// Front-end chips: what a strip's current becomes, and when (docs/methods/readout.md). A chip is a struct on
+// `ChipNumbers` with a name, `response`, `measure` and `delays`, and one of the alternatives of `Chip`.
 #pragma once
 
 #include <array>
@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <string>
 #include <variant>
 
 #include "common/rng.hpp"
@@ -32,6 +33,15 @@ struct Amplifier {
   double noise;                     // fC, standard deviation of an amplitude
   double jitter;                    // ns, standard deviation of the time
   double saturation;                // fC, largest charge
+};
+
+// Numbers of a chip. Each kind reads some of them.
+struct ChipNumbers {
+  Amplifier amplifier;
+  Shaper timing, charge;  // of the branches of the time and of the charge
+  double sample_delay;    // ns, from the crossing of the threshold to the sample of the charge
+  double clock;           // ns, between samples, the first one at time 0
+  int samples;
 };
 
 struct StripReading {
@@ -68,11 +78,8 @@ struct ChargesAbove {
 // Branch T gives the time of the leading edge, and the amplitude of branch E is sampled a fixed time later.
 // Both must exceed the threshold: the charge that is induced on a strip beside the avalanche, and goes again,
 // hardly moves E. Noise moves the threshold, and with it the time as far as the slope makes it.
-struct Tiger {
+struct Tiger : ChipNumbers {
   static constexpr const char* name = "tiger";
-  Amplifier amplifier;
-  Shaper timing, charge;  // of branches T and E
-  double sample_delay;    // ns, from the crossing of the threshold to the sample of the charge
 
   // To a step of the current, of the branch of the charge; `measure` takes it.
   StepResponse response() const { return {charge, time_step}; }
@@ -84,12 +91,8 @@ struct Tiger {
 };
 
 // Samples at fixed times: the charge is the largest one, the time that of half of it on the leading edge.
-struct Apv25 {
+struct Apv25 : ChipNumbers {
   static constexpr const char* name = "apv25";
-  Amplifier amplifier;
-  Shaper timing;
-  double clock;  // ns, between samples, the first one at time 0
-  int samples;
 
   StepResponse response() const { return {timing, time_step}; }
   std::optional<StripReading> measure(StepResponse& response, int view, const Current& current,
@@ -99,5 +102,8 @@ struct Apv25 {
 };
 
 using Chip = std::variant<Tiger, Apv25>;
+
+// The chip of a name. Throws std::invalid_argument with all names if there is none.
+Chip chip_of(const std::string& name, const ChipNumbers& numbers);
 
 }  // namespace cgemit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -71,33 +71,28 @@ class Chip:
     Attributes
     ----------
     kind : str
-        ``"tiger"``: the branch for the time crosses the threshold, which is the time. `sample_delay` later the branch
-        for the charge is sampled, which must exceed the threshold, too. ``"apv25"``: one branch is sampled `samples`
-        times. The largest sample is the charge, and the time is where the leading edge reaches half of it.
+        Name of a chip in the core (``readout/chips.hpp``). ``"tiger"``: the branch for the time crosses the threshold,
+        which is the time. `sample_delay` later the branch for the charge is sampled, which must exceed the threshold,
+        too. ``"apv25"``: one branch is sampled `samples` times. The largest sample is the charge, and the time is where
+        the leading edge reaches half of it.
     timing, charge : Shaper
         Of the two branches; the same one if there is one.
     clock : float
         ns, of the time stamps or between samples.
+    level : float
+        Where the time is taken on the leading edge, over the charge; 0 is the threshold.
     sample_delay : float
         ns.
     samples : int
     """
 
-    kind: Literal["tiger", "apv25"]
+    kind: str
     timing: Shaper
     charge: Shaper
     clock: float
+    level: float
     sample_delay: float = 0.0
     samples: int = 1
-
-    @property
-    def level(self) -> float:
-        """Where the time is taken on the leading edge, over the charge; 0 is the threshold."""
-        return _LEVELS[self.kind]
-
-
-#: Where each kind of chip takes the time on the leading edge, over the charge.
-_LEVELS = {"tiger": 0.0, "apv25": 0.5}
 
 
 def chip_arguments(readout: AnalogReadout) -> dict[str, Any]:

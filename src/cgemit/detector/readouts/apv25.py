@@ -13,7 +13,7 @@ from cgemit.detector.readouts.readout import Jitter, Margin, Threshold
 _CR_RC = Shaper(((0.0, math.e / 50, 1 / 50),))  # (t/tau) exp(1 - t/tau), 50 ns
 
 #: Of the test beams.
-APV25 = Chip(kind="apv25", timing=_CR_RC, charge=_CR_RC, clock=25.0, samples=27)
+APV25 = Chip(kind="apv25", timing=_CR_RC, charge=_CR_RC, clock=25.0, level=0.5, samples=27)
 
 
 @dataclass(frozen=True, kw_only=True)
