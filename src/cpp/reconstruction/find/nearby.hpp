@@ -87,8 +87,8 @@ class NearbyHits {
                  count = std::min(range.last - range.first, most_cells);
     // The reference may be a cell off, which is more cells away along the layer where it crosses obliquely.
     const HelixPoint& there = range.at_wires;
-    const double oblique = std::hypot(there.x, there.y) / std::max(there.outward(), 1e-9),
-                 beside = std::round(beside_ * std::min(oblique, most_oblique));
+    const double oblique = std::sqrt(there.x * there.x + there.y * there.y) / std::max(there.outward(), 1e-9),
+                 beside = std::floor(beside_ * std::min(oblique, most_oblique) + 0.5);
     for (double c = -beside; c <= count + beside; c += 1) {
       const std::int64_t cell = cell_numbers(layer, begin + side * c)[0];
       const std::int32_t id = hits_->at(index, cell);
