@@ -53,7 +53,7 @@ def test_without_matter_nothing_acts_and_nothing_is_lost() -> None:
 
 def test_only_noise_like_the_fits_depends_on_what_the_fit_assumes() -> None:
     """With full fluctuations every scatter and collision is drawn, and the fit's assumptions change no bit."""
-    assumed = compiled(DESIGN).with_acting(0.01 * tuned(DESIGN).acting)
+    assumed = _core._testing.with_acting(compiled(DESIGN), 0.01 * tuned(DESIGN).acting)
     assumed = assumed.with_loss(loss=_core.matter.CoreLoss.mean, radiation=False, momentum_error=0.1)
     for fluctuations, same in (("full", True), ("gaussian", False), ("off", False)):
         usual, other = (simulated(core, fluctuations) for core in (compiled(DESIGN), assumed))
@@ -145,7 +145,7 @@ def test_the_loss_is_that_of_the_choice() -> None:
 def test_the_cut_of_a_slab_is_scaled_by_what_the_fit_does_not_see(mass: float) -> None:
     """A slab that is half seen has the cut of twice the loss: its variance doubles, and its sum counts by halves."""
     whole = compiled(DESIGN).with_loss(loss=_core.matter.CoreLoss.truncated, radiation=False, momentum_error=0.003)
-    half = whole.with_unseen(np.full(whole.n_slabs, 0.5))
+    half = _core._testing.with_unseen(whole, np.full(whole.n_slabs, 0.5))
     assert _core.matter.total_matter(half, 0.0)[1] == pytest.approx(
         0.5 * _core.matter.total_matter(whole, 0.0)[1], rel=1e-12
     )
@@ -154,7 +154,7 @@ def test_the_cut_of_a_slab_is_scaled_by_what_the_fit_does_not_see(mass: float) -
     one, two = (np.array(_core._testing.core_loss(core, 3, **given)) for core in (whole, half))
     assert two[1] / one[1] == pytest.approx(2, rel=0.3 if mass > ELECTRON else 1e-9)  # W_max of muons is near
     assert two[0] > one[0]
-    none = whole.with_unseen(np.zeros(whole.n_slabs))
+    none = _core._testing.with_unseen(whole, np.zeros(whole.n_slabs))
     assert np.array_equal(_core._testing.core_loss(none, 3, **given), one)
 
 

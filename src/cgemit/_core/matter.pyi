@@ -7,7 +7,6 @@ from cgemit._core.detector import Detector
 
 # The fit counts losses below this many standard deviations of the energy, of heavy particles and electrons.
 CORE_SIGMAS: Final[float]
-LIGHT_CORE_SIGMAS: Final[float]
 USUAL_MOMENTUM_ERROR: Final[float]  # relative, where none is known
 
 class Screening(enum.IntEnum):

@@ -264,20 +264,6 @@ void bind_detector(py::module_& module) {
           "is nearly 0.")
       .def_readonly("bz", &Detector::bz)
       .def_readonly("field", &Detector::field)
-      .def(
-          "with_acting",
-          [](Detector detector, const Array<double>& acting, const std::optional<Array<double>>& by_hits) {
-            const auto n = static_cast<py::ssize_t>(detector.slabs.size());
-            const auto values = column(acting, "acting", n);
-            for (std::size_t i = 0; i < detector.slabs.size(); ++i) detector.slabs[i].acting = values[i];
-            if (!by_hits) return detector;
-            const auto ratios = column(*by_hits, "by_hits", n);
-            for (std::size_t i = 0; i < detector.slabs.size(); ++i) detector.slabs[i].by_hits = ratios[i];
-            return detector;
-          },
-          py::arg("acting"), py::arg("by_hits") = py::none(),
-          "The detector with other matter that acts with its slabs, GeV^2, and other variances by hits over "
-          "those by scattering, (GeV/c)^-2.")
       .def_property_readonly("by_hits",
                              [](const Detector& d) {
                                std::vector<double> by_hits;
@@ -305,14 +291,6 @@ void bind_detector(py::module_& module) {
             return detector;
           },
           "The detector in which all matter before the last measurement acts alike.")
-      .def(
-          "with_unseen",
-          [](Detector detector, const Array<double>& unseen) {
-            const auto values = column(unseen, "unseen", static_cast<py::ssize_t>(detector.slabs.size()));
-            for (std::size_t i = 0; i < detector.slabs.size(); ++i) set_unseen(detector.slabs[i], values[i]);
-            return detector;
-          },
-          py::arg("unseen"), "The detector with other shares of losses that the fit does not see.")
       .def_property_readonly("unseen",
                              [](const Detector& d) {
                                std::vector<double> unseen;

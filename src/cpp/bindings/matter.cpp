@@ -76,7 +76,6 @@ void bind_models(py::module_& module) {
 
 void bind_matter(py::module_& module) {
   module.attr("CORE_SIGMAS") = core_sigmas;
-  module.attr("LIGHT_CORE_SIGMAS") = light_core_sigmas;
   module.attr("USUAL_MOMENTUM_ERROR") = usual_momentum_error;
   module.def(
       "momentum_error",

@@ -111,6 +111,18 @@ py::array_t<double> solid_fractions(const Detector& detector, int slab, const Ar
   return to_numpy(std::move(out));
 }
 
+Detector with_acting(Detector detector, const Array<double>& acting) {
+  const auto values = column(acting, "acting", static_cast<py::ssize_t>(detector.slabs.size()));
+  for (std::size_t i = 0; i < detector.slabs.size(); ++i) detector.slabs[i].acting = values[i];
+  return detector;
+}
+
+Detector with_unseen(Detector detector, const Array<double>& unseen) {
+  const auto values = column(unseen, "unseen", static_cast<py::ssize_t>(detector.slabs.size()));
+  for (std::size_t i = 0; i < detector.slabs.size(); ++i) set_unseen(detector.slabs[i], values[i]);
+  return detector;
+}
+
 // Loss (GeV), its variance, and d(loss)/dp used by the fit.
 py::tuple loss_of_fit(const Detector& detector, int slab, double path, double p, double mass, double charge,
                       double track_xi) {
@@ -521,6 +533,10 @@ void bind_testing(py::module_& core) {
              py::arg("wire"),
              "Move helix points to their closest approach to a wire: points, signed distances, arcs, whether "
              "found.");
+  module.def("with_acting", &with_acting, py::arg("detector"), py::arg("acting"),
+             "The detector with other matter that acts with its slabs, GeV^2.");
+  module.def("with_unseen", &with_unseen, py::arg("detector"), py::arg("unseen"),
+             "The detector with other shares of losses that the fit does not see.");
   module.def("core_loss", &loss_of_fit, py::arg("detector"), py::arg("slab"), py::kw_only(), py::arg("path"),
              py::arg("p"), py::arg("mass"), py::arg("charge") = 1.0, py::arg("track_xi"),
              "Loss (GeV), its variance, and d(loss)/dp used by the fit.");
