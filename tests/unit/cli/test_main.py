@@ -258,7 +258,16 @@ def test_ctrl_c_during_a_study_leaves_nothing(moment, tmp_path):
 ENDLESS = ["--set", "fit.max_iterations=2147483647", "--set", "fit.tolerance=1e-300"]  # a fit that never ends
 INTERRUPTED = {
     "fit": ["simulate", *RESOLUTION[1:3], "--p", "1", "--cos-theta", "0", "-n", "2000", "--fit", *ENDLESS],
-    "analytic": ["resolution", *RESOLUTION[1:3], "--method", "analytic", "--p", "0.2:2:5000", "--cos-theta", "-0.9:0.9"],
+    "analytic": [
+        "resolution",
+        *RESOLUTION[1:3],
+        "--method",
+        "analytic",
+        "--p",
+        "0.2:2:5000",
+        "--cos-theta",
+        "-0.9:0.9",
+    ],
     "simulation": [
         "simulate",
         *RESOLUTION[1:3],
