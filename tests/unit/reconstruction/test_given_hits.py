@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -10,7 +11,10 @@ import pytest
 
 import cgemit as cg
 from cgemit.base.errors import Problem
+from cgemit.base.settings import SettingsData
+from cgemit.detector.channels import checked
 from cgemit.detector.layers.layer import crossing_z
+from cgemit.reconstruction.finders import HIT_FINDERS, HitFinder
 from cgemit.reconstruction.fit import PARAMETERS
 from cgemit.reconstruction.given_hits import RowProblem
 
@@ -229,6 +233,31 @@ def test_the_finder_of_run_by_its_name(run):
     np.testing.assert_array_equal(found["tracks"]["dr"], same["tracks"]["dr"])
     with pytest.raises(ValueError, match="candidates: got 'truth', expected 'ckf', a finder, tables or None"):
         cg.fit_hits(DETECTOR, strips_of(run), candidates="truth")
+
+
+def test_a_finder_of_the_registry_has_its_name_and_settings(run, monkeypatch):
+    """Of the settings of a second finder, those of another class are refused; one seed finds fewer tracks."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class FewSettings(SettingsData):
+        seeds: int = 200
+
+    @checked("clusters", "wire_hits", ignore=("gid",))
+    def few(detector, clusters, wire_hits, settings, *, fit):
+        return cg.find_tracks(detector, clusters, wire_hits, cg.FindSettings(max_seeds=settings.seeds), fit=fit)
+
+    monkeypatch.setitem(HIT_FINDERS, "few", HitFinder("few", few, FewSettings, "few"))
+    hits = {"clusters": one_event(strips_of(run)), "wire_hits": one_event(wires_of(run))}
+    many, one = (cg.fit_hits(DETECTOR, **hits, candidates="few", find=FewSettings(seeds=n))["tracks"] for n in (200, 1))
+    assert many.meta["finder"] == "few"
+    assert len(one) < len(many)
+    with pytest.raises(TypeError, match="find: got FindSettings, expected FewSettings"):
+        cg.fit_hits(DETECTOR, **hits, candidates="few", find=cg.FindSettings())
+
+
+def one_event(hits):
+    """Return hits as if all were of one event."""
+    return {name: column for name, column in hits.items() if name != "event"}
 
 
 def test_one_kind_of_hits_alone(run):
