@@ -76,7 +76,12 @@ def read_card(path: str | Path, *, field: bool = True) -> dict[str, Any]:
         If the card has no geometry, or rows that cannot be read.
     """
     path = Path(path)
-    return _tables(read_text(path), str(path), path.stem, path.parent, field=field)
+    try:
+        text = read_text(path)
+    except UnicodeDecodeError as error:
+        line = f"line {1 + error.object.count(10, 0, error.start)}"
+        raise DetectorError(str(path), [Problem(line, "bytes that are no text", "a card in UTF-8")]) from None
+    return _tables(text, str(path), path.stem, path.parent, field=field)
 
 
 class _Value(NamedTuple):
@@ -102,6 +107,7 @@ class _Card:
         self.variables: _Scope = {}
         self.modules: dict[str, _Scope] = {}
         self.unread: list[str] = []
+        self.problems: list[Problem] = []
         self.sources = 0
 
     def value(self, text: str, scope: _Scope) -> str:
@@ -116,7 +122,13 @@ class _Card:
 
     def run(self, text: str, scope: _Scope, line: int = 1, source: str = "") -> None:
         """Take the variables and modules of a script."""
-        for at, words in _commands(text, line):
+        for at, words, is_open in _commands(text, line):
+            if is_open and not self.problems:
+                begins = f'"{words[-1][0].strip().partition(chr(10))[0][:40]}"'
+                where = f"{source} line {at}".lstrip()
+                self.problems.append(
+                    Problem(where, f"a brace or quote before {begins} that does not end", "a whole card")
+                )
             known = [word if braced else self.value(word, scope) for word, braced in words]
             if known[0] == "set" and len(known) == 3:
                 scope[known[1].removeprefix("::")] = _Value(known[2], at, source)
@@ -124,6 +136,9 @@ class _Card:
                 inner: _Scope = {}
                 self.run(known[3], inner, at, source)
                 if known[1] == "TrackCovariance":
+                    if known[2] in self.modules:
+                        where = f"{source} line {at}".lstrip()
+                        self.problems.append(Problem(where, f"the module {known[2]} twice", "modules of other names"))
                     self.modules[known[2]] = inner
             elif known[0] == "source":
                 self._source(known[1:], scope)
@@ -150,17 +165,20 @@ class _Card:
             self.run(text, scope, source=name)
 
 
-def _commands(text: str, line: int) -> Iterator[tuple[int, list[tuple[str, bool]]]]:
-    """Yield the commands of a Tcl script: line, and words, each with whether it is in braces."""
+def _commands(text: str, line: int) -> Iterator[tuple[int, list[tuple[str, bool]], bool]]:
+    """Yield the commands of a Tcl script: line, words, each with whether it is in braces, and whether the last is open.
+
+    A brace or quote that does not end is that of a file that was cut.
+    """
     at, end = 0, len(text)
     words: list[tuple[str, bool]] = []
-    first = line
+    first, is_open = line, False
     while at <= end:
         character = text[at] if at < end else "\n"
         if character in "\n;":
             if words:
-                yield first, words
-            words, line, at = [], line + (character == "\n"), at + 1
+                yield first, words, is_open
+            words, line, at, is_open = [], line + (character == "\n"), at + 1, False
         elif character.isspace() or text.startswith("\\\n", at):
             line, at = line + (character == "\\"), at + 1 + (character == "\\")
         elif character == "#" and not words:
@@ -169,14 +187,17 @@ def _commands(text: str, line: int) -> Iterator[tuple[int, list[tuple[str, bool]
                 line, at = line + text.count("\n", at, min(at + skipped, end)), at + skipped
         else:
             first = first if words else line
-            stop = _word_end(text, at)
+            stop, is_open = _word_end(text, at)
             inner = character in '{"'
-            words.append((text[at + 1 : stop - 1] if inner else text[at:stop], character == "{"))
+            words.append((text[at + 1 : stop - (not is_open)] if inner else text[at:stop], character == "{"))
             line, at = line + text.count("\n", at, stop), stop
 
 
-def _word_end(text: str, at: int) -> int:
-    """Return where the word that begins here ends: braces and brackets in pairs, quotes up to the next one."""
+def _word_end(text: str, at: int) -> tuple[int, bool]:
+    """Return where the word that begins here ends: braces and brackets in pairs, quotes up to the next one.
+
+    Also whether its brace or quote is open at the end of the text.
+    """
     first, depth, end, begin = text[at], 0, len(text), at
     pairs = {"{": "{}", '"': "[]"}.get(first, "[]")
     while at < end:
@@ -185,23 +206,23 @@ def _word_end(text: str, at: int) -> int:
             at += 2
             continue
         if first == '"' and depth == 0 and character == '"' and at > begin:
-            return at + 1
+            return at + 1, False
         if first not in '{"' and depth == 0 and (character.isspace() or character == ";"):
-            return at
+            return at, False
         depth += (character == pairs[0]) - (character == pairs[1])
         at += 1
         if first == "{" and depth == 0:
-            return at
-    return min(at, end)
+            return at, False
+    return min(at, end), first in '{"'
 
 
 def _tables(text: str, source: str, name: str, folder: Path, *, field: bool = True) -> dict[str, Any]:
     """Return the tables of the text of a card."""
     card = _Card(folder)
     card.run(text, card.variables)
-    problems: list[Problem] = []
-    scope = _tracker(card, problems)
     plain = ROWS.match(text)
+    problems = [] if plain else card.problems
+    scope = _tracker(card, problems)
     geometry = scope.get("DetectorGeometry") or (_Value(text, 1) if plain else None)
     unread = f"; not read: {', '.join(card.unread)}" if card.unread else ""
     if geometry is None:
@@ -276,6 +297,10 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
             continue
         low, high, radius, thickness, x0, measured, up, down, sigma_up, sigma_down, efficiency = numbers
         ends = max(low * _M, -0.5 * _LONGEST), min(high * _M, 0.5 * _LONGEST)
+        if measured not in (0, 1, 2) or sigma_up < 0 or sigma_down < 0:
+            expected = "0, 1 or 2 coordinates, and resolutions of 0 (not measured) or more"
+            problems.append(Problem(where, got, expected))
+            continue
         if ends[0] >= ends[1] or radius <= 0 or thickness <= 0 or x0 <= 0 or not 0 <= efficiency <= 1:
             expected = "z from low to high, within 5 m of z = 0, a radius, thickness and radiation length above 0, an "
             problems.append(Problem(where, got, expected + "efficiency from 0 to 1"))

@@ -30,6 +30,7 @@ from cgemit.detector.layers import CgemLayer, Layer
 from cgemit.detector.material import Material
 from cgemit.detector.parts import Contents, cgem_layers
 from cgemit.detector.shells import Shell
+from cgemit.units import LIGHT
 
 REST_ENERGY = 510.99895  # keV, of the electron (PDG 2024)
 AVOGADRO = 6.02214076e23  # 1/mol
@@ -535,6 +536,8 @@ def transport(gas: str, e_field: float, b_field: float) -> Transport:
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?")
 _TABLES, _FOOTER = "The gas tables follow:", re.compile("H Extr|Thresholds")  # early versions have no H Extr
 _LARGEST_GAS_FILE = 200_000_000  # bytes
+_MOST_TORR = 1e5
+_WIDEST = 1e3  # sqrt(cm Torr), of diffusion
 
 
 @dataclass(frozen=True, eq=False)
@@ -625,7 +628,11 @@ def read_gas_file(path: str | Path) -> GasFile:
     >>> det.drift_chamber.drift_text()
     'of 20 um/ns'
     """
-    text, problems = read_text(Path(path), _LARGEST_GAS_FILE), Problems()
+    problems = Problems()
+    try:
+        text = read_text(Path(path), _LARGEST_GAS_FILE)
+    except UnicodeDecodeError as error:
+        refuse(str(path), f"line {1 + error.object.count(10, 0, error.start)}", "bytes that are no text", "UTF-8")
     head, marker, tail = text.partition(_TABLES)
     body, *rest = _FOOTER.split(tail, maxsplit=1)
     tail = "".join(rest)
@@ -638,9 +645,13 @@ def read_gas_file(path: str | Path) -> GasFile:
     ):
         if not text_there:
             problems.note(name, "nothing", expected)
+    if text.count(_TABLES) > 1:
+        problems.note(_TABLES, "this line twice", "one gas a file")
+    torr = float(_numbers_of(pressure[1])[0]) if pressure else 0.0
+    if pressure and not 0 < torr < _MOST_TORR:
+        problems.note("PGAS", f"{torr:g} Torr", f"a pressure above 0 and below {_MOST_TORR:g} Torr")
     problems.report(str(path))
     assert size
-    assert pressure
     fields, angles, magnetic, excited, ionized = map(int, size[2].split())
     grids = {}
     for name, count, after in (
@@ -649,6 +660,9 @@ def read_gas_file(path: str | Path) -> GasFile:
         grids[name] = _numbers_of(head.partition(name)[2].partition(after)[0])
         if len(grids[name]) != count or not count:
             problems.note(name, f"{len(grids[name])} numbers", f"{max(count, 1)}, as in the line Dimension")
+        elif grids[name][0] < 0 or (np.diff(grids[name]) <= 0).any() or (name == "E fields" and not grids[name][0]):
+            least = "above 0, and each above the one before" if name == "E fields" else "0 or more, in rising order"
+            problems.note(name, ", ".join(f"{one:g}" for one in grids[name][:8]), f"numbers {least}")
     plain = size[1] == "T"  # else each value has the coefficient of a spline behind it, except one
     width = 17 + excited + ionized if plain else 33 + 2 * (excited + ionized)
     numbers = _numbers_of(body)
@@ -659,11 +673,19 @@ def read_gas_file(path: str | Path) -> GasFile:
     right = int(np.argmin(np.abs(grids["E-B angles"] - math.pi / 2)))
     rows = numbers.reshape(fields, angles, magnetic, width)[:, right]
     along, across, aside, long, wide = (rows[..., i] for i in ((0, 1, 2, 3, 4) if plain else (0, 2, 4, 6, 8)))
-    for name, values in (("velocity", along), ("longitudinal diffusion", long), ("transverse diffusion", wide)):
+    fastest = LIGHT * 100.0  # cm/us
+    for name, values, most in (
+        ("velocity", along, fastest),
+        ("longitudinal diffusion", long, _WIDEST),
+        ("transverse diffusion", wide, _WIDEST),
+    ):
+        wrong = np.argwhere(~((values > 0) & (values < most)))
         if not values.any():
             problems.note("gas tables", f"only zeros of the {name}", "a file with this table")
+        elif len(wrong):
+            at = f"{grids['E fields'][wrong[0][0]]:g} V/cm/Torr and {grids['B fields'][wrong[0][1]] * 1e-2:g} T"
+            problems.note(f"gas tables, {name}", f"{values[tuple(wrong[0])]:g} at {at}", f"above 0 and below {most:g}")
     problems.report(str(path))
-    torr = float(_numbers_of(pressure[1])[0])
     # Electric fields are divided by the pressure in Torr, magnetic fields are in 0.01 T, velocities in cm/us. Widths in
     # sqrt(cm) are multiplied by the root of the pressure.
     native = math.sqrt(10 / torr)

@@ -7,6 +7,7 @@ import gzip
 import importlib.util
 import lzma
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -37,6 +38,11 @@ _PACKED: Mapping[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open,
 
 # Of momentum and length, as in a line "U GEV MM".
 _UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"MM", b"CM")}
+
+# pyhepmc reads numbers as C does: of "0,5" and "x" it takes what can be read, 0; of large whole numbers the last bits.
+_NUMBER = rb"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[nN][aA][nN]|[iI][nN][fF](?:inity)?)"
+_NUMBERS = re.compile(rb"\s*(?:%b(?:\s+|$))*" % _NUMBER)
+_LARGEST_PDG = 2**31 - 1
 
 # A line of HepMC has some 200 bytes. A packed file may be much larger than it looks: only unpacked ones have any size.
 _LONGEST_LINE, _MOST_UNPACKED = 1_000_000, 1_000_000_000
@@ -237,7 +243,7 @@ def _events_of(path: Path) -> tuple[array[int], array[int]]:
                     _refuse(path, line_number, f"a line of more than {_LONGEST_LINE} bytes")
                 key = line[:2]
                 if key == b"P ":
-                    event.particles += 1
+                    event.particle(line_number, line)
                 elif key == b"V ":
                     event.vertex(line_number, line)
                 elif key == b"E ":
@@ -273,16 +279,33 @@ class _Event:
         self.first = self.vertices = self.particles = 0
         self.expected: list[int] = []  # particles; in HepMC2 also vertices
         self.has_units = True
+        self.vertex_numbers: set[bytes] = set()  # HepMC3: those that the event has
+        self.origins: dict[bytes, int] = {}  # HepMC3: those that particles name, and the line of the first one
 
     def begin(self, line_number: int, line: bytes) -> None:
         words = line.split()
         self.first, self.vertices, self.particles, self.has_units = line_number, 0, 0, False
+        self.vertex_numbers, self.origins = set(), {}
         # E event vertices particles, or E event interactions scale alpha alpha process signal vertices ...
         counts = self._whole(line_number, words, (8,) if self.is_old else (3,))
         self.expected = [0, *counts] if self.is_old else counts
 
+    def particle(self, line_number: int, line: bytes) -> None:
+        """Refuse numbers that are none; in HepMC3 note the vertex."""
+        self.particles += 1
+        self._numbers(line_number, line, line[2:])
+        words = line.split(None, 4)
+        # P number pdg ..., or P number origin pdg ..., where origins below 0 are vertices
+        pdg = words[3 - self.is_old] if len(words) == 5 else b""
+        if not pdg.lstrip(b"-").isdigit() or abs(int(pdg)) > _LARGEST_PDG:
+            self._refuse(line_number, line, f"a PDG number up to {_LARGEST_PDG} in column {4 - self.is_old}")
+        if not self.is_old and words[2].startswith(b"-"):
+            self.origins.setdefault(words[2], line_number)
+
     def vertex(self, line_number: int, line: bytes) -> None:
         self.vertices += 1
+        self._numbers(line_number, line, line[2:] if self.is_old else line.partition(b"@")[2])
+        self.vertex_numbers.update(line.split(None, 2)[1:2])
         if self.is_old and self.first:
             # V number id x y z ct orphans outgoing weights: their particles follow before the next vertex.
             self._check(line_number, "particles", self.particles, self.expected[0])
@@ -302,19 +325,29 @@ class _Event:
         self._check(line_number, "particles", self.particles, self.expected[0])
         if self.is_old:
             self._check(line_number, "vertices", self.vertices, self.expected[1])
+        for number in self.origins.keys() - self.vertex_numbers:
+            text = number.decode("ascii", "replace")
+            _refuse(self.path, self.origins[number], f"a particle of the vertex {text:.20}", "a vertex of its event")
 
     def _check(self, line_number: int, what: str, count: int, expected: int) -> None:
         if count != expected:
             event = f"{count} {what} of the event that begins in line {self.first}"
             _refuse(self.path, line_number, f"{event}, before this line", f"{expected}, as announced")
 
+    def _numbers(self, line_number: int, line: bytes, numbers: bytes) -> None:
+        if not _NUMBERS.fullmatch(numbers):
+            self._refuse(line_number, line, "numbers such as -1.5e-3")
+
+    def _refuse(self, line_number: int, line: bytes, expected: str) -> NoReturn:
+        text = b" ".join(line.split()).decode("ascii", "replace")
+        _refuse(self.path, line_number, f"{text!r:.90}", expected)
+
     def _whole(self, line_number: int, words: list[bytes], places: tuple[int, ...]) -> list[int]:
         """Return numbers of a line that count something."""
         numbers = [int(words[i]) for i in places if i < len(words) and words[i].isdigit()]
         if len(numbers) != len(places):
-            text = b" ".join(words).decode("ascii", "replace")
             names = " and ".join(str(i + 1) for i in places)
-            _refuse(self.path, line_number, f"{text!r:.60}", f"a whole number in column {names}")
+            self._refuse(line_number, b" ".join(words), f"a whole number in column {names}")
         return numbers
 
 

@@ -177,12 +177,38 @@ def test_a_card_of_wires_and_cgem_layers():
         (IDEA, "", "expected a line such as: set Bz 2.0"),
         ("1 A -1 1 0.1 0.001 $X 0 0 0 0 0 0\n", "set B 2", "no value is set for \\$X: add a line such as set X 1.0"),
         ("1 A -1 1 0.1 0.001 0.1 2 0 1.57 1e-5 1e-5 1.2\n", "set B 2", "an efficiency from 0 to 1"),
+        ("1 A -1 1 0.1 0.001 0.1 3 0 1.57 1e-5 1e-5 1\n", "set B 2", "expected 0, 1 or 2 coordinates"),
+        ("1 A -1 1 0.1 0.001 0.1 2 0 1.57 -1e-5 1e-5 1\n", "set B 2", "resolutions of 0 .not measured. or more"),
         (IDEA, "set B 2\nif {1} {set B 3}", r"B: got .\[if ...\]"),
     ],
 )
 def test_rows_that_cannot_be_read(tmp_path, rows, field, message):
     with pytest.raises(DetectorError, match=message):
         cg.load(card(tmp_path, rows, field))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda data: data[: data.rindex(b"1 BSILWRP")],
+            "line 2: got a brace or quote before .set Bz .B. that does not",
+        ),
+        (lambda data: data.rstrip()[:-1], "line 2: got a brace or quote before .set Bz .B. that does not end"),
+        (lambda data: data + b'set Name "x\n', "line 35: got a brace or quote before .x. that does not end"),
+        (lambda data: data + data.partition(b"\n")[2], "line 35: got the module TrackSmearing twice"),
+        (
+            lambda data: data.replace(b"comment", b"\xe9"),
+            "line 9: got bytes that are no text, expected a card in UTF-8",
+        ),
+    ],
+)
+def test_cards_that_are_cut_or_doubled(tmp_path, change, message):
+    """At the end of a row as well: the rows before the cut are a smaller detector."""
+    path = card(tmp_path)
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(DetectorError, match=f"card.tcl: 1 problem\n  {message}"):
+        cg.load(path)
 
 
 SENSORS = "".join(f"1 T{i} -1 1 {0.03 + 0.06 * i} 0.0002 0.0937 2 0 1.5708 6e-6 6e-6 1\n" for i in range(6))

@@ -791,10 +791,26 @@ def test_gas_files_of_other_versions_of_garfield(tmp_path: Path, old: str, new: 
         (" PGAS", " P", "PGAS: got nothing"),
         ("T 3 1 1 2 0", "T 3 1 1 5 0", "gas tables: got 57 numbers"),
         ("T 3 1 1 2 0", "T 4 1 1 2 0", "E fields: got 3 numbers"),
+        ("7.60000000E+02", "0.0", "PGAS: got 0 Torr"),
+        ("7.60000000E+02", "-7.6E+02", "PGAS: got -760 Torr"),
+        (
+            " 3.28947370E+00 3",
+            " 2.0E+00 3",
+            "E fields: got 2.63158, 2, 3.94737, expected numbers above 0, and each above",
+        ),
+        (" 2.63157900E+00 3", " 0.0E+00 3", "E fields: got 0, 3.28947, 3.94737, expected numbers above 0"),
+        (" 3.51237867E+00", "-3.51237867E+00", "gas tables, velocity: got -3.51238 at 3.28947 V/cm/Torr and 0 T"),
+        (" 3.51237867E+00", " 3.51237867E+99", "gas tables, velocity: got 3.51238e+99 at"),
+        (" 3.51237867E+00", " 0.0", "gas tables, velocity: got 0 at 3.28947 V/cm/Torr"),
+        (" 4.70265364E-01", "-4.70265364E-01", "gas tables, longitudinal diffusion: got -0.470265 at 3.28947"),
+        (" H Extr", " The gas tables follow:\n H Extr", "The gas tables follow:: got this line twice"),
+        ("iC4H10 10%", "iC4H10 \udce9", "line 3: got bytes that are no text, expected UTF-8"),
     ],
 )
 def test_wrong_gas_files_are_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
     path = gas_file(tmp_path / "bad.gas", plain=True)
-    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8", errors="surrogateescape")
     with pytest.raises(ValueError, match=re.escape(expected)):
         read_gas_file(path)

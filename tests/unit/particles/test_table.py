@@ -99,7 +99,6 @@ def test_hepmc_runs_as_the_same_columns_do(file: Path, tmp_path: Path) -> None:
         (lambda data: b"", "got no beginning of a list of events"),
         (lambda data: b"hello\n", "got no beginning of a list of events"),
         (lambda data: data[: len(data) // 2], r"line \d+: got a last line that does not end the list of events"),
-        (lambda data: data.replace(b"V -1 0 [1]", b"V x y z", 2), "line 3: got an event that cannot be read"),
     ],
 )
 def test_damaged_hepmc_is_refused(file: Path, change: Any, message: str) -> None:
@@ -352,6 +351,33 @@ def test_particles_that_pyhepmc_leaves_out_are_counted(tmp_path: Path) -> None:
     (tmp_path / "a.hepmc2").write_text(OLD_HEPMC.replace(" 0 0 -2 0", " 0 0 0 0"))  # nothing enters the second vertex
     with pytest.warns(UserWarning, match="a.hepmc2: 4 of the 6 particles of the event that begins in line 3 are read"):
         assert particles_from(tmp_path / "a.hepmc2")["pdg"].tolist() == [13]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "line", "expected"),
+    [
+        ("a.hepmc3", "0.5 0.25 0.5 0.9", "0,5 0.25 0.5 0.9", 7, "numbers such as"),
+        ("a.hepmc3", "0.5 0.25 0.5 0.9", "x 0.25 0.5 0.9", 7, "numbers such as"),
+        ("a.hepmc3", "0.5 0.25 0.5 0.9", "0.5D0 0.25 0.5 0.9", 7, "numbers such as"),
+        ("a.hepmc3", "@ 1 2 3 0", "@ 1 2,5 3 0", 6, "numbers such as"),
+        ("a.hepmc3", "3 -1 13", "3 -1 99999999999", 8, "a PDG number up to 2147483647 in column 4"),
+        ("a.hepmc3", "4 -2 211", "4 -7 211", 10, "a vertex of its event"),
+        ("a.hepmc2", "0.5 0.25 0.5 0.9", "0,5 0.25 0.5 0.9", 8, "numbers such as"),
+        ("a.hepmc2", "V -2 0 4 5", "V -2 0 4 five", 10, "numbers such as"),
+        ("a.hepmc2", "P 5 211", "P 5 99999999999", 11, "a PDG number up to 2147483647 in column 3"),
+    ],
+)
+def test_hepmc_numbers_that_would_be_misread_are_refused(
+    name: str, old: str, new: str, line: int, expected: str, tmp_path: Path
+) -> None:
+    """0 for a word or 0,5, the last bits of a large number, and the origin for a vertex that is not there."""
+    text = OLD_HEPMC if name == "a.hepmc2" else NEW_HEPMC
+    (tmp_path / name).write_text(text)
+    assert len(particles_from(tmp_path / name)) == 3
+    assert text.count(old) == 1
+    (tmp_path / name).write_text(text.replace(old, new))
+    with pytest.raises(ParticleError, match=rf"1 problem\n  line {line}: got .*, expected {expected}"):
+        particles_from(tmp_path / name)
 
 
 def damaged(text: str, random: np.random.Generator) -> str:
