@@ -35,6 +35,9 @@ EPIC = {
 EPIC_MOMENTA = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 MUON = 0.1056583755  # GeV, its mass
 
+#: Of the yellow report (arXiv:2103.05419), for a tracker in 3 T.
+EIC_MATRIX = "delphes_EICmatrixv2_3T.tcl of github.com/miguelignacio/delphes_EIC at 1c2850e, −1 < η < 1"
+
 #: Abstract of the paper with this title: sigma(pT)/pT ~ 0.5 % at 1 GeV.
 CGEM = "*A cylindrical GEM detector with analog readout for the BESIII experiment*, abstract"
 
@@ -122,6 +125,16 @@ STATEMENTS = (
     Statement(
         "idea-like", "dr", "5 µm ⊕ 15 µm/p", lambda p: float(np.hypot(5, 15 / p)), (1, 10, 100),
         "requirements for detectors at FCC-ee, FCCee_MDI_Oct10.tex of github.com/oviazlo/presentations", True,
+    ),
+    Statement(
+        "cepc-like", "p", "0.1 % ⊕ 0.001 % pT", lambda p: float(np.hypot(0.1, 0.001 * p)), (1, 10, 50, 100),
+        "cards/delphes_card_CEPC.tcl of github.com/delphes/delphes at 0ee14ba, −1 < η < 1",
+    ),
+    Statement(
+        "epic-like", "dr", "5 µm ⊕ 30 µm/pT", lambda p: float(np.hypot(5, 30 / p)), (1, 10, 20), EIC_MATRIX, True,
+    ),
+    Statement(
+        "epic-like", "dz", "5 µm ⊕ 30 µm/pT", lambda p: float(np.hypot(5, 30 / p)), (1, 10, 20), EIC_MATRIX, True,
     ),
 )  # fmt: skip
 

@@ -45,8 +45,8 @@ def test_simulated_resolutions_are_those_on_file():
 
 
 def test_published_statements_hold_as_far_as_they_say():
-    """Formulas by hand: one digit for BESIII and Belle II, 6 % for IDEA, bounds for requirements."""
-    shown = {(row[0].strip("`"), row[1][:4]): row for row in cells("stated")}
+    """Formulas by hand: one digit for BESIII, Belle II and CEPC, 6 % for IDEA, bounds for requirements."""
+    shown = {(row[0].strip("`"), row[1].partition(")")[0] + ")"): row for row in cells("stated")}
     beta = {p: p / math.hypot(p, 0.10566) for p in (0.3, 1.0, 3.0)}
     published = {
         ("besiii-idc", "p"): {1.0: 0.5},
@@ -58,12 +58,15 @@ def test_published_statements_hold_as_far_as_they_say():
         },
         ("epic-like", "p"): {p: 0.5 + 0.05 * p for p in (1, 10, 20)},
         ("idea-like", "dr"): {p: math.hypot(5, 15 / p) for p in (1, 10, 100)},
+        ("cepc-like", "p"): {p: 100 * math.sqrt(0.001**2 + p**2 * 1.0e-5**2) for p in (1, 10, 50, 100)},
+        ("epic-like", "dr"): {p: 1e3 * math.hypot(0.005, 0.03 / p) for p in (1, 10, 20)},
+        ("epic-like", "dz"): {p: 1e3 * math.hypot(0.005, 0.03 / p) for p in (1, 10, 20)},
     }
     assert len(shown) == len(presets.STATEMENTS) == len(published)
     stored = {(row.preset, row.quantity, row.momentum): row for row in presets.PAGE.read()["stated"].rows}
     ratios = {}
     for (name, quantity), values in published.items():
-        row = shown[name, {"p": "σ(p)", "dr": "σ(d_"}[quantity]]
+        row = shown[name, {"p": "σ(p)", "dr": "σ(d_ρ)", "dz": "σ(d_z)"}[quantity]]
         assert [float(cell) for cell in row[2].split(",")] == list(values)
         for p, value, cell in zip(values, values.values(), row[3].split(","), strict=True):
             found = presets.resolutions(name, "mu-", p, 0.0)[quantity]
@@ -77,6 +80,8 @@ def test_published_statements_hold_as_far_as_they_say():
     assert [ratios["idea-like", "p", p] for p in (5, 10, 20, 50, 100)] == pytest.approx([1] * 5, abs=0.06)
     assert all(ratios["epic-like", "p", p] < 1 for p in (1, 10, 20))
     assert all(ratios["idea-like", "dr", p] < 1 for p in (1, 10, 100))
+    assert all(ratios["epic-like", quantity, 1] < 1 for quantity in ("dr", "dz"))
+    assert all(0.3 < ratios["cepc-like", "p", p] < 2 for p in (1, 10, 50, 100))
     assert 0.03 < sum(slab.x0 for slab in slabs(cg.load("epic-like"))) < 0.05
 
 
