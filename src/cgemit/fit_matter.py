@@ -168,8 +168,8 @@ def _momentum_errors(
     turning = max(0.5 * GEV_PER_T_MM * abs(hits.bz) * hits.last_measurement, _LEAST_TURNING)  # GeV/c
     slopes = _SLOPES if hits.has_equal_ends else np.concatenate([-_SLOPES[:0:-1], _SLOPES])
     pt, slope = (grid.ravel() for grid in np.meshgrid(turning * _TRANSVERSE, slopes))
-    found = _muons(hits, layers, pt, slope, budget=True, **({"variants": [core]} if hits_of else {}))
-    terms, first = found["budget"], _first_slab(found["budget"][0], core.n_slabs)
+    fits = _muons(hits, layers, pt, slope, budget=True, **({"variants": [core]} if hits_of else {}))
+    terms, first = fits["budget"], _first_slab(fits["budget"][0], core.n_slabs)
     # ln p = ln sec(lambda) - ln |kappa|; the last column is the covariance of kappa and tanl.
     bend = (slope / (1 + slope**2))[:, None]
     kappa = _charge(hits) / pt[:, None]
@@ -179,7 +179,7 @@ def _momentum_errors(
         "hits": np.sqrt(by[:, :first].sum(axis=1)) / pt,
         "scattered": np.sqrt(by[:, first:-1:2].sum(axis=1)) * p / np.hypot(p, _MUON),
     }
-    good = (found["status"].reshape(-1, len(pt)) == 0).all(axis=0).reshape(len(slopes), -1)
+    good = (fits["status"].reshape(-1, len(pt)) == 0).all(axis=0).reshape(len(slopes), -1)
     if not good.any():
         return None
     middle = int(np.flatnonzero(slopes == 0)[0])
@@ -233,11 +233,11 @@ def _muons(
     core: _core.detector.Detector, layers: Sequence[Layer], pt: Floats, slope: Floats, **how: Any
 ) -> dict[str, Any]:
     """Return the expected covariances of muons of these transverse momenta and tan(lambda)."""
-    one, none = np.ones(len(pt)), np.zeros(len(pt))
+    ones, none = np.ones(len(pt)), np.zeros(len(pt))
     # With wider priors the parts of slabs lose digits to rounding, which `sensitivity` needs. Tuned detectors are
     # kept: with the scalar kernels they are the same whichever instruction set was in use when they were made.
     return _core.covariance.covariances(
-        core, phi=0.1 * one, kappa=_charge(core) / pt, tanl=slope, mass=_MUON * one, scatters=none, samples=1,
+        core, phi=0.1 * ones, kappa=_charge(core) / pt, tanl=slope, mass=_MUON * ones, scatters=none, samples=1,
         scalar=True, phases=np.full((1, 2 * len(layers)), 0.5), **{"budget": False} | how,
         model={
             "least_width": 0.1, "delta_strips": 0.0, "sides_known": True, "seed": 0,

@@ -102,14 +102,14 @@ def at_origin_in(particles: Table, field: _core.detector.Field) -> Floats:
     per_pt = 1 / np.where(bent, pt, 1.0)
     places = [particles[name] for name in "xyz"]
     flights = [px * per_pt, py * per_pt, pz * per_pt, particles["charge"] * per_pt]
-    points, found = field.to_perigee(np.stack([*places, *flights], axis=1))
+    points, reached = field.to_perigee(np.stack([*places, *flights], axis=1))
     x, y, z, ux, uy, tanl = points.T
     sec_lambda = np.hypot(1, pz * per_pt)
     # p is conserved, pT is not.
     kappa = particles["charge"] * per_pt / sec_lambda * np.hypot(1, tanl)
     phi0 = wrap_angle(np.arctan2(-ux, uy))
     parameters = np.stack([x * uy - y * ux, phi0, kappa, z, tanl], axis=1)
-    return np.asarray(np.where((bent & (found == 1))[:, None], parameters, nominal))
+    return np.asarray(np.where((bent & (reached == 1))[:, None], parameters, nominal))
 
 
 def wrap_angle(angle: npt.ArrayLike) -> Floats:
@@ -254,13 +254,13 @@ def change_pivot(
     >>> print(moved.round(3))
     [ 0.   0.  -1.   5.   0.5]
     """
-    given, covariance = _with_covariance(parameters, cov)
-    rows = given.size // 5
+    start, covariance = _with_covariance(parameters, cov)
+    rows = start.size // 5
     step = np.ascontiguousarray(np.broadcast_to(np.subtract(pivot_to, pivot_from, dtype=np.float64), (rows, 3)))
     field = np.ascontiguousarray(np.broadcast_to(np.asarray(bz, np.float64), rows))
-    helices = np.ascontiguousarray(given).reshape(-1, 5), np.ascontiguousarray(covariance).reshape(-1, 25)
+    helices = np.ascontiguousarray(start).reshape(-1, 5), np.ascontiguousarray(covariance).reshape(-1, 25)
     moved, with_errors = _core.kalman.change_pivot(*helices, step, field)
-    return moved.reshape(given.shape), with_errors.reshape(covariance.shape)
+    return moved.reshape(start.shape), with_errors.reshape(covariance.shape)
 
 
 def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.ArrayLike) -> Floats:
@@ -286,15 +286,15 @@ def start_radius(parameters: npt.ArrayLike, vertex: npt.ArrayLike, bz: npt.Array
     >>> print(cg.helix.start_radius(track, [0.0, 20.0, 10.0], bz=-1.0))  # mm
     20.0
     """
-    given, point = _parameters(parameters), np.asarray(vertex, np.float64)
-    if point.shape[-1:] != (3,) or point.ndim > given.ndim:
-        raise ValueError(f"vertex: got shape {point.shape}, expected (3,) or {(*given.shape[:-1], 3)}")
-    there, _ = change_pivot(given, np.zeros((*given.shape, 5)), np.zeros(3), point, bz)
-    turn = wrap_angle(there[..., 1] - given[..., 1])
-    field, phi0 = np.asarray(bz, np.float64), given[..., 1]
+    start, point = _parameters(parameters), np.asarray(vertex, np.float64)
+    if point.shape[-1:] != (3,) or point.ndim > start.ndim:
+        raise ValueError(f"vertex: got shape {point.shape}, expected (3,) or {(*start.shape[:-1], 3)}")
+    there, _ = change_pivot(start, np.zeros((*start.shape, 5)), np.zeros(3), point, bz)
+    turn = wrap_angle(there[..., 1] - start[..., 1])
+    field, phi0 = np.asarray(bz, np.float64), start[..., 1]
     ahead = point[..., 1] * np.cos(phi0) - point[..., 0] * np.sin(phi0) > 0  # along a straight flight
     # The azimuth changes by -s/R along the flight.
-    outward = np.where(field == 0, ahead, field * given[..., 2] * turn < 0)
+    outward = np.where(field == 0, ahead, field * start[..., 2] * turn < 0)
     return np.where(outward, 1.0, -1.0) * np.hypot(point[..., 0], point[..., 1])
 
 

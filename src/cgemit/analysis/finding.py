@@ -108,17 +108,17 @@ def findable_of(of: ParticleCounts, charged: Flags) -> tuple[Flags, dict[str, in
     layers = measure(3, 2) & (of.x_layers + of.v_layers >= 6)
     chamber = (of.wires >= 10) & (of.stereo >= 3)
     findable = charged & (layers | two & (of.wires >= 3) | chamber)
-    rest = charged & ~findable
+    not_findable = charged & ~findable
     reasons: dict[str, Flags] = {
         "no hit at all": of.hits == 0,
         "3 stereo wires among 10 or more": of.wires >= 10,
         "3 wires, or 6 coordinates, beside X and V in 2 layers": two,
-        "10 wires, or X and V in 2 layers": np.ones(len(rest), np.bool_),
+        "10 wires, or X and V in 2 layers": np.ones(len(not_findable), np.bool_),
     }
     removed: dict[str, int] = {}
     for name, which in reasons.items():
-        removed[name] = int(np.count_nonzero(rest & which))
-        rest = rest & ~which
+        removed[name] = int(np.count_nonzero(not_findable & which))
+        not_findable = not_findable & ~which
     return findable, removed
 
 

@@ -139,11 +139,11 @@ class HitResiduals(Shown, Tabular):
         if by not in vars(self) or by == "view":
             known = ", ".join(name for name in vars(self) if name != "view")
             raise ValueError(f"binned: by: got {by!r}, expected one of {known}")
-        values, given, whole = vars(self)[by].astype(np.float64), _given(edges), vars(self)[by].dtype.kind in "iu"
+        values, bounds, whole = vars(self)[by].astype(np.float64), _given(edges), vars(self)[by].dtype.kind in "iu"
         rows: dict[str, list[float]] = {name: [] for name in _RESIDUALS}
         for view in np.unique(self.view).tolist():
             mine = (self.view == view) & np.isfinite(values)
-            own = given if given is not None else _edges(values[mine & self.counts], whole)
+            own = bounds if bounds is not None else _edges(values[mine & self.counts], whole)
             for low, high, inside in _bins(values, own, whole):
                 if (mine & inside).any():
                     _append(rows, float(view), low, high, self.select(mine & inside))
@@ -214,10 +214,10 @@ class ResidualTable(Shown, Tabular):
 
 def _given(edges: npt.ArrayLike | None) -> Floats | None:
     """Return edges of bins as they were given."""
-    given = None if edges is None else np.asarray(edges, np.float64)
-    if given is not None and (given.ndim != 1 or len(given) < 2 or not (np.diff(given) > 0).all()):
+    bounds = None if edges is None else np.asarray(edges, np.float64)
+    if bounds is not None and (bounds.ndim != 1 or len(bounds) < 2 or not (np.diff(bounds) > 0).all()):
         raise ValueError(f"binned: edges: got {edges!r:.60}, expected two or more numbers that grow")
-    return given
+    return bounds
 
 
 def _bins(values: Floats, edges: Floats, whole: bool) -> Iterator[tuple[float, float, Flags]]:
@@ -300,11 +300,11 @@ def residuals_of(result: Result, clusters: Table, wires: Table) -> HitResiduals:
     at = _state_rows(of, states)
 
     def joined(of_cluster: str, of_wire: str | None, none: float) -> npt.NDArray[Any]:
-        found = np.full(len(of), none)
-        found[~is_wire] = clusters[of_cluster][hit[~is_wire]]
+        column = np.full(len(of), none)
+        column[~is_wire] = clusters[of_cluster][hit[~is_wire]]
         if of_wire is not None:
-            found[is_wire] = wires[of_wire][hit[is_wire]]
-        return found
+            column[is_wire] = wires[of_wire][hit[is_wire]]
+        return column
 
     x, y, z, px, py, pz = (states[name][at] for name in ("x", "y", "z", "px", "py", "pz"))
     p, incidence = _direction(x, y, px, py, pz)
@@ -483,11 +483,11 @@ class LayerCrossings(Shown, Tabular):
         known = ("event", "sheet", "phi", "z", "incidence", "p", "time")
         if by not in known:
             raise ValueError(f"binned: by: got {by!r}, expected one of {', '.join(known)}")
-        values, given, whole = vars(self)[by].astype(np.float64), _given(edges), by == "sheet"
+        values, bounds, whole = vars(self)[by].astype(np.float64), _given(edges), by == "sheet"
         rows = []
         for number, label in self.labels.items():
             mine = (self.layer == number) & np.isfinite(values)
-            own = given if given is not None else _edges(values[mine], whole)
+            own = bounds if bounds is not None else _edges(values[mine], whole)
             for low, high, inside in _bins(values, own, whole):
                 if (mine & inside).any():
                     rows.append((label, _bin_text(low, high), low, high, self.select(mine & inside)))
@@ -619,10 +619,10 @@ def _plain(settings: Settings) -> FitSettings:
 
 def _layers_of(hits: Table, clusters: Table) -> npt.NDArray[np.int64]:
     """Return the layers of the clusters of candidates, -1 for wires."""
-    found = np.full(len(hits), -1, np.int64)
+    layers = np.full(len(hits), -1, np.int64)
     of_cluster = hits["view"] != HIT_WIRE
-    found[of_cluster] = clusters["layer"][hits["hit"][of_cluster]]
-    return found
+    layers[of_cluster] = clusters["layer"][hits["hit"][of_cluster]]
+    return layers
 
 
 def strip_status(detector: Detector, digis: Table) -> npt.NDArray[np.int8]:
@@ -679,7 +679,7 @@ def _status(fires: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
     """Return hot and dead strips of one view of one sheet."""
     padded = np.pad(fires.astype(np.float64), _BESIDE, mode="reflect" if len(fires) > _BESIDE else "edge")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _BESIDE + 1), axis=1)
-    found = np.zeros(len(fires), np.int8)
-    found[fires > around + _HOT * np.sqrt(around + 1)] = 1
-    found[(fires == 0) & (around > -np.log(_CHANCE))] = -1
-    return found
+    status = np.zeros(len(fires), np.int8)
+    status[fires > around + _HOT * np.sqrt(around + 1)] = 1
+    status[(fires == 0) & (around > -np.log(_CHANCE))] = -1
+    return status

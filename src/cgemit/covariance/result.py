@@ -258,12 +258,12 @@ class Budget(Shown):
     def _parts(self) -> dict[str, Floats]:
         """Return the variances by part, of one that measures and scatters both apart."""
         pairs = [(one.part, MEASUREMENT if one.cause == MEASUREMENT else "matter") for one in self.sources]
-        both = {part for part, what in pairs if what == MEASUREMENT} & {
+        repeated = {part for part, what in pairs if what == MEASUREMENT} & {
             part for part, what in pairs if what == "matter"
         }
         groups: dict[str, Floats] = {}
         for row, (part, what) in enumerate(pairs):
-            name = f"{part} {what}" if part in both else part
+            name = f"{part} {what}" if part in repeated else part
             groups[name] = groups.get(name, np.zeros(self.p.shape)) + self.variances[..., row]
         return groups
 
@@ -276,10 +276,10 @@ class Budget(Shown):
             shown = [(name, float(groups[name][i])) for name in order[:_SHOWN_PARTS]]
             if rest := order[_SHOWN_PARTS:]:
                 shown.append((f"other ({len(rest)})", float(sum(groups[name][i] for name in rest))))
-            for name, value in shown:
-                share = f"{100 * value / total[i]:.1f} %"
+            for name, variance in shown:
+                share = f"{100 * variance / total[i]:.1f} %"
                 at = self.points.texts(i)
-                rows.append([*(at if angles else at[:1]), name, f"{value**0.5:.4g}", share])
+                rows.append([*(at if angles else at[:1]), name, f"{variance**0.5:.4g}", share])
         more = self.p.size - _SHOWN_POINTS
         head = ["p [GeV/c]", *(["cos(theta)"] if angles else []), "part", f"sigma [{self.unit}]", "of variance"]
         if more > 0:

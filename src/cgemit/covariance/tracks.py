@@ -215,10 +215,10 @@ def draws(samples: int, dimensions: int) -> Floats:
 
     numbers = np.empty((samples, dimensions))
     numbers[:, 0] = (np.arange(samples) + 0.5) / samples
-    rest = qmc.Sobol(dimensions - 1, scramble=True, rng=np.random.default_rng(1)).random(
+    further = qmc.Sobol(dimensions - 1, scramble=True, rng=np.random.default_rng(1)).random(
         1 << (samples - 1).bit_length()
     )
-    numbers[:, 1:] = rest[:samples]
+    numbers[:, 1:] = further[:samples]
     numbers.flags.writeable = False
     return numbers
 

@@ -190,11 +190,11 @@ def _tell_not_transported(particles: Table) -> None:
     if not len(particles):
         return
     status = not_transported(particles)
-    what = {
+    reasons = {
         _core.common.TransportStatus.at_rest: "at rest",
         _core.common.TransportStatus.out_of_range: f"born beyond {FARTHEST:g} mm, or above {FASTEST:g} GeV/c",
     }
-    parts = [f"{n} {text}" for one, text in what.items() if (n := int(np.count_nonzero(status == one)))]
+    parts = [f"{n} {text}" for one, text in reasons.items() if (n := int(np.count_nonzero(status == one)))]
     if parts:
         warnings.warn(
             f"table of particles: charged particles that are not simulated, as their status says: {', '.join(parts)}",

@@ -509,16 +509,16 @@ def _fill_points(layer: Any, columns: Columns, start: Column, point: Column) -> 
         point & np.isnan(columns["phi"]), helix.wrap_angle(start + columns["x"] / r), columns["phi"]
     )
     columns["z"] = np.where(point & np.isnan(columns["z"]), crossing_z(layer, columns["x"], columns["v"]), columns["z"])
-    phi2, z2, both = columns["err_phi"] ** 2, columns["err_z"] ** 2, columns.get("cov_phi_z", np.zeros(len(x)))
+    phi2, z2, covariance = columns["err_phi"] ** 2, columns["err_z"] ** 2, columns.get("cov_phi_z", np.zeros(len(x)))
     if "cov" in columns:
-        phi2, z2, both = (columns["cov"][:, i, j] for i, j in ((0, 0), (1, 1), (0, 1)))
+        phi2, z2, covariance = (columns["cov"][:, i, j] for i, j in ((0, 0), (1, 1), (0, 1)))
     # X = r (phi - start), V = X cos + (z_ref - z) sin.
     from_phi = point & np.isnan(columns["err_x"]) & np.isnan(columns["err_v"])
     with np.errstate(invalid="ignore"):
-        err_v = np.sqrt(cosine**2 * r**2 * phi2 + sine**2 * z2 - 2 * cosine * sine * r * both)
+        err_v = np.sqrt(cosine**2 * r**2 * phi2 + sine**2 * z2 - 2 * cosine * sine * r * covariance)
         columns["err_x"] = np.where(from_phi, r * np.sqrt(phi2), columns["err_x"])
     columns["err_v"] = np.where(from_phi, err_v, columns["err_v"])
-    columns["cov_xv"] = np.where(from_phi, cosine * r**2 * phi2 - sine * r * both, columns["cov_xv"])
+    columns["cov_xv"] = np.where(from_phi, cosine * r**2 * phi2 - sine * r * covariance, columns["cov_xv"])
 
 
 def _wire_columns(detector: Detector, named: Columns) -> Columns:

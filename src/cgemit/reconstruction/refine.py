@@ -446,13 +446,13 @@ class StartTime(Refinement):
     def refine(self, detector: Detector, hits: Hits, turn: Turn) -> Hits:
         """Move the start times by one step, or find their errors."""
         event = np.searchsorted(turn.candidates.events, turn.candidates["event"])
-        rest = turn.turns - turn.number
-        if rest == 2:  # the fit of this turn was shifted
+        turns_left = turn.turns - turn.number
+        if turns_left == 2:  # the fit of this turn was shifted
             self._set_errors(_Fits.of(self._times.relations, turn, self._times.time[event] + PROBE), event)
             return self._shifted(hits)
         now = self._times.fits = _Fits.of(self._times.relations, turn, self._times.time[event])
         self._step(now, event, turn.number)
-        if rest == 3:
+        if turns_left == 3:
             return self._shifted(hits, shift=PROBE)
         return self._shifted(hits, FIRST_ERRORS[turn.number + 1] if turn.number + 1 < len(FIRST_ERRORS) else 0.0)
 
@@ -499,11 +499,11 @@ class StartTime(Refinement):
         has_time = self._times.status != StartTimeStatus.no_track
         self._times.counted = np.where(has_time, self._times.counted, 0)
         self._times.time = np.where(has_time, self._times.time, 0.0)
-        both = (now.info > 0) & (probed.info > 0) & has_time[event]
-        lever = np.where(both, probed.at - now.at, 1.0)
-        info = np.where(both, (now.gradient - probed.gradient) / lever, now.info)
+        have_both = (now.info > 0) & (probed.info > 0) & has_time[event]
+        lever = np.where(have_both, probed.at - now.at, 1.0)
+        info = np.where(have_both, (now.gradient - probed.gradient) / lever, now.info)
         info = np.where((info > 0.5 * now.info) & (info < 2 * now.info), info, now.info)
-        self._times.slope = np.where(both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
+        self._times.slope = np.where(have_both[:, None], _difference(probed.helix, now.helix) / lever[:, None], 0.0)
         _, total, _ = self._combined(now._replace(info=np.where(now.info > 0, info, 0.0)), event, early=False)
         self._times.error[has_time] = total[has_time] ** -0.5
 

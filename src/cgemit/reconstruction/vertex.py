@@ -475,10 +475,10 @@ def _minimised(
         usable &= ~settled
         trial = vertex[going] + np.where(usable[:, None], step, 0.0)
         there = _linear(some, trial)
-        value = _chi2(there, trial, beam_spot)
-        better = usable & (value <= chi2[going] + _ROUNDING * (1 + chi2[going]))
+        trial_chi2 = _chi2(there, trial, beam_spot)
+        better = usable & (trial_chi2 <= chi2[going] + _ROUNDING * (1 + chi2[going]))
         rows = going[better]
-        vertex[rows], chi2[rows] = trial[better], value[better]
+        vertex[rows], chi2[rows] = trial[better], trial_chi2[better]
         for part, new in zip(of, there, strict=True):
             part[rows] = new[better]
         grown = np.maximum(damping[going] * _DAMPING_RATIO, _FIRST_DAMPING)
@@ -503,7 +503,7 @@ def _linear(pairs: _Pairs, pivot: Floats) -> _Linear:
     rest_of = [[1], [2], [4]]
     across = cov[:, rest_of, [0, 3]]
     gain = across @ weight
-    rest = cov[:, rest_of, [1, 2, 4]] - gain @ np.swapaxes(across, 1, 2)
+    remaining = cov[:, rest_of, [1, 2, 4]] - gain @ np.swapaxes(across, 1, 2)
     # Displaced by x from the pivot: dr - e x, dz - x_z + tanl share (u x), with e and u turning by -bend (u x).
     per_kappa = pairs.bz / helix.RADIUS_PER_KAPPA
     share = 1 / (1 + per_kappa * kappa * dr)
@@ -525,7 +525,7 @@ def _linear(pairs: _Pairs, pivot: Floats) -> _Linear:
     turn[:, 0, :2] = w[:, None] * u[:, :2]
     direction = np.stack([phi0 + 0.5 * np.pi, kappa, tanl], axis=1)
     radius = 1 / np.maximum(np.abs(per_kappa * kappa), 1e-12)
-    parts = (measured, weight, to_vertex, curved, radius, direction, gain, rest, turn)
+    parts = (measured, weight, to_vertex, curved, radius, direction, gain, remaining, turn)
     return _Linear(*(np.asarray(part, np.float64).reshape(n, 2, *part.shape[1:]) for part in parts))
 
 

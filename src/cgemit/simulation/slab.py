@@ -66,17 +66,17 @@ def parse_stack(text: str, problems: Problems) -> tuple[Layer, ...]:
 
 
 def _layer(part: str, where: str, problems: Problems) -> Layer | None:
-    name, _, rest = part.strip().partition(" ")
+    name, _, amount = part.strip().partition(" ")
     if not name:
         problems.note(where, "nothing", f"material and thickness, as {_EXAMPLE}")
         return None
     before = len(problems)
     volumes = None
-    fractions = _FRACTIONS.match(rest)
+    fractions = _FRACTIONS.match(amount)
     if fractions:
         volumes = tuple(map(float, fractions[1].split("/")))
-        rest = rest[fractions.end() :]
-    density, thickness = _numbers(rest, where, problems)
+        amount = amount[fractions.end() :]
+    density, thickness = _numbers(amount, where, problems)
     try:
         material, note = material_named(name, volumes, density)
     except MaterialNameError as error:

@@ -117,12 +117,12 @@ class RunMonitor:
             tables |= {
                 f"efficiencies_by_{name}": self.crossings.binned(name) for name in ("z", "phi", "incidence", "event")
             }
-        found: dict[str, Any] = {"counts": self.counts, "strips": self.strips, "channels": self.channels}
+        plain: dict[str, Any] = {"counts": self.counts, "strips": self.strips, "channels": self.channels}
         for name, table in tables.items():
             columns = table.columns()
             rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-            found[name] = [{key: _plain(value) for key, value in row.items() if value == value} for row in rows]
-        return found
+            plain[name] = [{key: _plain(value) for key, value in row.items() if value == value} for row in rows]
+        return plain
 
     def _of_strips(self) -> tuple[str, list[str], list[list[str]]]:
         head = ["layer", "view", "channels", "fired", "per event", "negative", "saturated", "hot", "dead"]
@@ -221,10 +221,10 @@ def _arrivals(result: Result) -> tuple[Floats, Floats]:
     from cgemit.reconstruction.strip_times import arrivals_of
 
     digis: Table = result.digis
-    found = arrivals_of(result.detector, digis)
+    arrivals = arrivals_of(result.detector, digis)
     times = result.strip_times
     begin = 0.0 if times is None else times["strip_time"][np.searchsorted(times["event"], digis["event"])]
-    return np.asarray(found.time - begin), found.longest
+    return np.asarray(arrivals.time - begin), arrivals.longest
 
 
 def _channels(result: Result) -> list[dict[str, Any]]:
@@ -232,26 +232,26 @@ def _channels(result: Result) -> list[dict[str, Any]]:
     detector, digis = result.detector, result.digis
     status, first = strip_status(detector, digis), layer_table(detector.layers)["gid_first"]
     fires = np.unique(np.stack([digis["event"], digis["gid"]])[:, digis["gid"] >= 0], axis=1)[1]
-    found = []
+    rows = []
     for gid in np.flatnonzero(status).tolist():
         number = max(one for one in cgem_numbers(detector) if first[one] <= gid)
         layer = detector.layers[number]
-        sheet, rest = divmod(gid - int(first[number]), layer.strips_x + layer.strips_v)
-        view = int(rest >= layer.strips_x)
-        found.append(
+        sheet, channel = divmod(gid - int(first[number]), layer.strips_x + layer.strips_v)
+        view = int(channel >= layer.strips_x)
+        rows.append(
             {
-                "layer": layer.label, "sheet": sheet, "view": "XV"[view], "strip": rest - view * layer.strips_x,
+                "layer": layer.label, "sheet": sheet, "view": "XV"[view], "strip": channel - view * layer.strips_x,
                 "gid": gid, "status": int(status[gid]), "fired": int(np.count_nonzero(fires == gid)),
             }
         )  # fmt: skip
-    return found
+    return rows
 
 
 def _strips(result: Result) -> list[dict[str, Any]]:
     """Return the numbers of the strips of each layer and view."""
     detector, digis = result.detector, result.digis
     status, first = strip_status(detector, digis), layer_table(detector.layers)["gid_first"]
-    found = []
+    rows = []
     for number in cgem_numbers(detector):
         layer = detector.layers[number]
         per_sheet = layer.strips_x + layer.strips_v
@@ -262,7 +262,7 @@ def _strips(result: Result) -> list[dict[str, Any]]:
         for view, name in enumerate("XV"):
             mine = digis[(digis["layer"] == number) & (digis["view"] == view)]
             kinds = own[:, : layer.strips_x] if view == 0 else own[:, layer.strips_x :]
-            found.append(
+            rows.append(
                 {
                     "layer": layer.label, "view": name, "channels": int(kinds.size), "fired": len(mine),
                     "per_event": len(mine) / max(result.n_events, 1),
@@ -271,7 +271,7 @@ def _strips(result: Result) -> list[dict[str, Any]]:
                     "hot": int(np.count_nonzero(kinds == 1)), "dead": int(np.count_nonzero(kinds == -1)),
                 }
             )  # fmt: skip
-    return found
+    return rows
 
 
 def _plain(value: Any) -> Any:

@@ -114,14 +114,14 @@ def difference(
     kind : str
         The core width of the residuals, or the median of the fit's own errors.
     """
-    known, found, replicas = QUANTITIES[quantity], [], []
+    known, widths, replicas = QUANTITIES[quantity], [], []
     for tracks in (sample.tracks, base.tracks):
         values, statistic = (known.residual(tracks), core_sigma) if kind == "sigma" else (known.error(tracks), median)
         rows = known.counts(tracks) & np.isfinite(values)  # tracks of no particle have no residual
         values = values[rows]
-        found.append(statistic(values))
+        widths.append(statistic(values))
         replicas.append(without_groups(values, tracks["event"][rows], statistic))
-    return found[0] - found[1], jackknife(replicas[0] - replicas[1])
+    return widths[0] - widths[1], jackknife(replicas[0] - replicas[1])
 
 
 #: Kinds of `difference`.
@@ -747,13 +747,13 @@ def line_momenta(momenta: Sequence[float]) -> Floats:
     momenta : sequence of float
         One is returned as it is.
     """
-    given = np.unique(np.asarray(momenta, np.float64))
-    if len(given) == 1:
-        return given
-    steps = np.linspace(given[0], given[-1], LINE_POINTS)
-    distance = np.min(np.abs(steps[:, None] - given), axis=1)
-    more = steps[distance > 1e-9 * given[-1]]  # rounding must not make two points of one
-    return np.sort(np.concatenate([given, more]))
+    asked = np.unique(np.asarray(momenta, np.float64))
+    if len(asked) == 1:
+        return asked
+    steps = np.linspace(asked[0], asked[-1], LINE_POINTS)
+    distance = np.min(np.abs(steps[:, None] - asked), axis=1)
+    more = steps[distance > 1e-9 * asked[-1]]  # rounding must not make two points of one
+    return np.sort(np.concatenate([asked, more]))
 
 
 def scan_analytic(
@@ -810,11 +810,11 @@ def scan_analytic(
             "the analytic method expects the particle's own mass"
         )
     p, angles = _grid(line_momenta([momentum_of(order) for order in orders]), first)
-    found = analytic(
+    covariance = analytic(
         first.detector, first.gun.particle, p, angles, reveal_sides=digitize.reveal_sides,
         fit=fit, threads=threads,
     )  # fmt: skip
-    return AnalyticScan(tuple(orders), seed, time.perf_counter() - start, found)
+    return AnalyticScan(tuple(orders), seed, time.perf_counter() - start, covariance)
 
 
 def _grid(momenta: Floats, order: Order) -> tuple[Floats, Any]:

@@ -143,14 +143,14 @@ class Goals:
 
     def described(self) -> dict[str, Any]:
         """Return all that values depend on, beside the detector, as JSON."""
-        found: dict[str, Any] = {"goals": [[one.name, one.p] for one in self.goals]}
-        found["background"] = asdict(self.background) if self.background else None
+        description: dict[str, Any] = {"goals": [[one.name, one.p] for one in self.goals]}
+        description["background"] = asdict(self.background) if self.background else None
         if self.prices:
-            found["prices"] = dict(self.prices)
+            description["prices"] = dict(self.prices)
         if functions := [identity(one.function) for one in self.goals if one.function]:
-            found["functions"] = functions
+            description["functions"] = functions
         tracks = self.quantities or any(one.name == UNSEEN for one in self.goals)
-        return found | ({"evaluation": self.evaluation.described()} if tracks else {})
+        return description | ({"evaluation": self.evaluation.described()} if tracks else {})
 
     def __call__(self, detector: Detector) -> dict[str, Any]:
         """Return values, errors and the values without each of `GROUPS` groups of tracks, by header.
@@ -188,10 +188,10 @@ class Goals:
     def number(self, goal: Goal, detector: Detector, *, smooth: bool = False) -> float:
         """Return a goal that is no resolution; `smooth`: without rounding to whole strips."""
         if goal.function is not None:
-            found = goal.function(detector)
-            if isinstance(found, bool) or not isinstance(found, int | float | np.number) or not math.isfinite(found):
-                raise TypeError(f"{goal.name}: got {found!r:.60}, expected a finite number")
-            return float(found)
+            answer = goal.function(detector)
+            if isinstance(answer, bool) or not isinstance(answer, int | float | np.number) or not math.isfinite(answer):
+                raise TypeError(f"{goal.name}: got {answer!r:.60}, expected a finite number")
+            return float(answer)
         if goal.name in OCCUPANCIES:
             assert self.background is not None  # checked when the goals are made
             return OCCUPANCIES[goal.name](detector, self.background)
@@ -207,10 +207,10 @@ class Goals:
 
     def _analytic(self, detector: Detector) -> dict[str, Floats]:
         """Return (points, 1 + GROUPS) widths of each resolution in quoted units."""
-        found = covariances(detector, self.evaluation)
+        by_angle = covariances(detector, self.evaluation)
         resolutions = {}
         for name in self.quantities:
-            pairs = [(one.sigma(name), one.variances(name)) for one in found]
+            pairs = [(one.sigma(name), one.variances(name)) for one in by_angle]
             rows = [
                 _replicas(sigma[i], variances[i]) for i in range(len(self.evaluation.p)) for sigma, variances in pairs
             ]
@@ -218,10 +218,10 @@ class Goals:
         return resolutions
 
     def _simulated(self, detector: Detector) -> dict[str, Floats]:
-        found = self.evaluation(detector)
+        simulated = self.evaluation(detector)
         resolutions = {}
         for name in self.quantities:
-            pairs = zip(found["columns"][QUANTITIES[name].column()], found["replicas"], strict=True)
+            pairs = zip(simulated["columns"][QUANTITIES[name].column()], simulated["replicas"], strict=True)
             resolutions[name] = np.array([[sigma, *replicas[name]] for sigma, replicas in pairs])
         return resolutions
 
@@ -263,12 +263,12 @@ class Limit:
 
     def violation(self, value: float) -> float:
         """Return by how much a value is outside, relative to the limit; negative inside."""
-        found = []
+        excesses = []
         if self.high is not None:
-            found.append((value - self.high) / (abs(self.high) or 1.0))
+            excesses.append((value - self.high) / (abs(self.high) or 1.0))
         if self.low is not None:
-            found.append((self.low - value) / (abs(self.low) or 1.0))
-        return max(found)
+            excesses.append((self.low - value) / (abs(self.low) or 1.0))
+        return max(excesses)
 
 
 TOLERANCE = 1e-6
@@ -279,7 +279,7 @@ def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: Prob
     if not isinstance(given, Mapping):
         problems.note("constraints", repr(given), "a dict of (low, high) by name")
         return ()
-    found = []
+    limits = []
     for key, ends in given.items():
         name = getattr(key, "__name__", key)
         goal = goal_of(f"constraints.{name}", key, momenta, problems)
@@ -290,8 +290,8 @@ def limits_of(given: Mapping[str, Any], momenta: Sequence[float], problems: Prob
         elif not right:
             problems.note(f"constraints.{name}", repr(ends), "(low, high), numbers in the unit of the quantity or None")
         elif goal is not None:
-            found.append(Limit(goal, ends[0], ends[1]))
-    return tuple(found)
+            limits.append(Limit(goal, ends[0], ends[1]))
+    return tuple(limits)
 
 
 def prices_of(given: Any, problems: Problems) -> tuple[tuple[str, float], ...]:
@@ -418,13 +418,13 @@ def variables_of(base: Detector, space: Mapping[str, Any], problems: Problems) -
 
 def _variable(base: Detector, key: str, given: Any, problems: Problems) -> Variable | None:
     try:
-        one = _parsed(base, key, given)
-        if one is None:
+        variable = _parsed(base, key, given)
+        if variable is None:
             problems.note(key, repr(given), _EXPECTED)
             return None
-        base.with_overrides({key: one.change(one.start(base))})
+        base.with_overrides({key: variable.change(variable.start(base))})
         # Several absolute values become one when they are varied; elsewhere a wrong value only shows at the ends.
-        return one
+        return variable
     except DetectorError as error:
         problems.take(error)
     except WrongValueError as error:

@@ -28,12 +28,12 @@ _POINTS = 40
 
 def nondominated(values: Floats) -> npt.NDArray[np.bool_]:
     """Return which rows of (n, objectives) no other row dominates; lower is better, equal rows all count."""
-    found = np.ones(len(values), bool)
+    front = np.ones(len(values), bool)
     for i in np.lexsort(values.T[::-1]):  # a row is only dominated by one before it, or by an equal one
-        if found[i]:
+        if front[i]:
             worse = np.all(values >= values[i], axis=1) & np.any(values > values[i], axis=1)
-            found &= ~worse
-    return found
+            front &= ~worse
+    return front
 
 
 def within_errors(values: Floats, replicas: Floats, front: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -69,13 +69,13 @@ def by_noise(values: Floats, replicas: Floats, front: npt.NDArray[np.bool_]) -> 
     values, replicas, front
         As for `within_errors`.
     """
-    found = np.zeros(len(values), bool)
+    beaten = np.zeros(len(values), bool)
     rows = np.flatnonzero(front)
     for i in rows:
         worse = values[rows] - values[i]
         limit = SIGMAS * jackknife(replicas[rows] - replicas[i]) + 1e-12 * np.abs(values[i])
-        found[i] = bool(np.any(np.all(worse <= limit, axis=1) & np.any(worse < -limit, axis=1)))
-    return found
+        beaten[i] = bool(np.any(np.all(worse <= limit, axis=1) & np.any(worse < -limit, axis=1)))
+    return beaten
 
 
 def hypervolume(values: Floats, reference: Floats) -> float:
@@ -112,7 +112,7 @@ def growth(values: Floats, calls: Sequence[int], reference: Floats) -> list[tupl
         Of each design, ascending.
     reference : (objectives,) float64
     """
-    found: list[tuple[int, int, float]] = []
+    volumes: list[tuple[int, int, float]] = []
     kept: Any = np.empty((0, values.shape[1]))
     number, last = np.array(calls), -1
     every = list(dict.fromkeys(calls))
@@ -121,11 +121,11 @@ def growth(values: Floats, calls: Sequence[int], reference: Floats) -> list[tupl
         here, last = values[(number > last) & (number <= call)], call
         new = np.concatenate([kept, here[np.isfinite(here).all(axis=1)]])
         new = new[nondominated(new)] if len(new) else new
-        same = np.array_equal(new, kept) and found
-        volume = found[-1][2] if same else hypervolume(new, reference)
-        found.append((int(call), int(np.sum(number <= call)), volume))
+        same = np.array_equal(new, kept) and volumes
+        volume = volumes[-1][2] if same else hypervolume(new, reference)
+        volumes.append((int(call), int(np.sum(number <= call)), volume))
         kept = new
-    return found
+    return volumes
 
 
 #: User attribute of the study that ends each group of designs.
@@ -209,25 +209,25 @@ def _whole_groups(path: Path) -> list[dict[str, Any]]:
         return []
     except ValueError as error:
         raise ProblemsError(str(path), [Problem("", str(error), "a journal of Optuna")]) from error
-    found: list[dict[str, Any]] = []
+    groups: list[dict[str, Any]] = []
     end = size = complete = 0
     with path.open("rb") as stream:
         while line := stream.readline(_LONGEST_LINE):
             try:
-                found.append(json.loads(line))
+                groups.append(json.loads(line))
             except (ValueError, RecursionError) as error:
                 if stream.read(1):
-                    text = f"{path}: line {len(found) + 1} cannot be read ({str(error) or 'too deep'})"
+                    text = f"{path}: line {len(groups) + 1} cannot be read ({str(error) or 'too deep'})"
                     warnings.warn(f"{text}; the search goes on from the lines before", stacklevel=2)
                 break
             size += len(line)
-            if not isinstance(found[-1], dict):
-                raise ProblemsError(str(path), [Problem(f"line {len(found)}", repr(line[:40]), "a journal of Optuna")])
-            done = found[-1].get("user_attr")
+            if not isinstance(groups[-1], dict):
+                raise ProblemsError(str(path), [Problem(f"line {len(groups)}", repr(line[:40]), "a journal of Optuna")])
+            done = groups[-1].get("user_attr")
             if line.endswith(b"\n") and isinstance(done, dict) and GROUPS_DONE in done:
-                end, complete = size, len(found)
+                end, complete = size, len(groups)
     os.truncate(path, end)
-    return found[:complete]
+    return groups[:complete]
 
 
 #: Violation of an impossible design, for each problem: worse than a violation of any limit.

@@ -63,13 +63,13 @@ def _name(base: Detector, variables: Sequence[Variable], design: Design) -> str:
 
 def replicas_of(designs: Sequence[Design], objectives: Sequence[Goal], values: Any) -> Any:
     """Return (designs, objectives, GROUPS) values without each group of tracks."""
-    found = np.repeat(values[:, :, None], GROUPS, axis=2)
+    all_replicas = np.repeat(values[:, :, None], GROUPS, axis=2)
     for i, design in enumerate(designs):
         for k, goal in enumerate(objectives):
             replicas = design.row.get("replicas", {}).get(goal.header)
             if replicas is not None:
-                found[i, k] = replicas
-    return found
+                all_replicas[i, k] = replicas
+    return all_replicas
 
 
 def front_of(values: Any, replicas: Any) -> list[str]:
@@ -200,11 +200,11 @@ def confirm(
 
     def rows_of(method: Literal["analytic", "mc"]) -> list[dict[str, Any]]:
         evaluation = replace(old, method=method, events=events, seed=seed, settings=settings)
-        found = Evaluator(evaluator.base, Goals(goals, evaluation, None), (), None, Workers()).rows(changes)
-        for number, row in zip(numbers, found, strict=True):
+        rows = Evaluator(evaluator.base, Goals(goals, evaluation, None), (), None, Workers()).rows(changes)
+        for number, row in zip(numbers, rows, strict=True):
             if row["status"] != "ok":
                 raise ValueError(f"confirm: design {number}: {'; '.join(row['problems'])}")
-        return found
+        return rows
 
     rows = rows_of("mc")
     expected = rows_of("analytic") if gaussian else [{"values": {}}] * len(rows)
@@ -392,7 +392,7 @@ class Optimization(TidyResult):
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and minimized, how it ended, and the best designs."""
         base = self.evaluator.base
-        found: dict[str, Any] = {
+        content: dict[str, Any] = {
             "program": "cgemit", "versions": versions(), "physics": PHYSICS,
             "inputs": {
                 "base": base.name, "hash": base.content_hash, "method": self.method,
@@ -406,11 +406,11 @@ class Optimization(TidyResult):
             "best": [self._row(i) for i in self.front],
         }  # fmt: skip
         if len(self.objectives) > 1 and self.growth:
-            found["hypervolume"] = {"value": self.growth[-1][2], "error": self.hypervolume_error,
+            content["hypervolume"] = {"value": self.growth[-1][2], "error": self.hypervolume_error,
                                     "reference": list(self.reference)}  # fmt: skip
             counts = {name: self.columns["front"].count(name) for name in (FRONT, LOOSE, TIED)}
-            found["front"] = counts | {"sigmas": SIGMAS}
-        return json.loads(json.dumps(found, default=str).replace("NaN", "null").replace("Infinity", "null"))  # type: ignore[no-any-return]
+            content["front"] = counts | {"sigmas": SIGMAS}
+        return json.loads(json.dumps(content, default=str).replace("NaN", "null").replace("Infinity", "null"))  # type: ignore[no-any-return]
 
     def draw(self, kind: str | None = None) -> Picture:
         """Draw the result.

@@ -236,16 +236,18 @@ def _check_method(
         except MissingPackageError as error:
             problems.note("search.method", "'nsga2'", f"a package that is installed ({error})")
         return
-    for one in variables:
-        if not one.continuous:
-            problems.note("search.method", f"{method!r} for {one.key}, which is a choice or a whole number", "'nsga2'")
+    for variable in variables:
+        if not variable.continuous:
+            problems.note(
+                "search.method", f"{method!r} for {variable.key}, which is a choice or a whole number", "'nsga2'"
+            )
     if len(texts) > 1:
         problems.note("search.method", f"{method!r} for {len(texts)} objectives", "'nsga2'")
     if method == "gradient" and evaluation.kind == "mc":
         problems.note("search.method", "'gradient' for evaluate 'mc'", "'cobyla' or 'nsga2'")
-    for one in variables if method == "gradient" else ():
-        if one.continuous and one.before != "%" and one.low <= 0 <= one.high:
-            given = f"'gradient' for {one.key} from {one.low:g} to {one.high:g} {one.unit}".rstrip()
+    for variable in variables if method == "gradient" else ():
+        if variable.continuous and variable.before != "%" and variable.low <= 0 <= variable.high:
+            given = f"'gradient' for {variable.key} from {variable.low:g} to {variable.high:g} {variable.unit}".rstrip()
             problems.note("search.method", given, "a range without zero")
 
 
@@ -254,13 +256,13 @@ def _names(task: _Task, search: Search) -> tuple[str, str]:
 
     The number of calls is no part of either: a search can be continued with more of them.
     """
-    found = [
+    content = [
         PHYSICS, task.base.content_hash, [repr(one) for one in task.variables], task.goals.described(),
         [one.header for one in task.objectives], [repr(one) for one in task.limits],
         {name: getattr(search, name) for name in ("population", "offspring", "seed")},
     ]  # fmt: skip
     more = [task.method, *(getattr(search, name) for name in ("tolerance", "steps", "starts"))]
-    journal, whole = (json.dumps(one, sort_keys=True, default=str).encode() for one in (found, [*found, more]))
+    journal, whole = (json.dumps(one, sort_keys=True, default=str).encode() for one in (content, [*content, more]))
     return hashlib.sha256(journal).hexdigest()[:16], hashlib.sha256(whole).hexdigest()[:32]
 
 
@@ -286,14 +288,14 @@ def _with_goals(tables: dict[str, Any], change: Callable[[str, str], Any]) -> di
     def changed(path: str, text: Any) -> Any:
         return change(path, text) if isinstance(text, str) and ":" in text else text
 
-    found, goals, limits = dict(tables), tables.get("minimize"), tables.get("constraints")
+    renamed, goals, limits = dict(tables), tables.get("minimize"), tables.get("constraints")
     if goals is not None:
-        found["minimize"] = (
+        renamed["minimize"] = (
             [changed("minimize", one) for one in goals] if isinstance(goals, list) else changed("minimize", goals)
         )
     if isinstance(limits, Mapping):
-        found["constraints"] = {changed(f"constraints.{key}", key): ends for key, ends in limits.items()}
-    return found
+        renamed["constraints"] = {changed(f"constraints.{key}", key): ends for key, ends in limits.items()}
+    return renamed
 
 
 def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> OptimizePlan:
@@ -333,10 +335,10 @@ def read_optimize_plan(path: str | os.PathLike[str], changes: Mapping[str, Any] 
 
 
 def _limits(tables: Mapping[str, Any], problems: Problems) -> dict[str, tuple[Any, Any]]:
-    found = {}
+    by_name = {}
     for name, ends in tables.items():
         if not isinstance(ends, Mapping) or not ends or not ends.keys() <= {"min", "max"}:
             problems.note(f"constraints.{name}", repr(ends), "{ min = ..., max = ... }, or one of them")
         else:
-            found[name] = (ends.get("min"), ends.get("max"))
-    return found
+            by_name[name] = (ends.get("min"), ends.get("max"))
+    return by_name

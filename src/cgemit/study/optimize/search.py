@@ -226,17 +226,17 @@ class Descent:
             return [*self._smooth(smooth, detector), *gaps(detector)]
 
         # Radii and thicknesses enter free spaces linearly, so that one difference is exact.
-        found = np.array([self._difference(u, i, geometry) for i in range(len(u))]).T
+        differences = np.array([self._difference(u, i, geometry) for i in range(len(u))]).T
         scale = np.array([point.values[one.header] or 1.0 for one in smooth])[:, None]
-        relative = dict(zip((one.header for one in smooth), found[: len(smooth)] / scale, strict=True))
+        relative = dict(zip((one.header for one in smooth), differences[: len(smooth)] / scale, strict=True))
         relative |= self._resolution_slopes(u, [one for one in goals if one.resolution])
         rows = []
-        for one in limits:
-            value = point.values[one.goal.header]
+        for limit in limits:
+            value = point.values[limit.goal.header]
             step = 1e-6 * (abs(value) or 1.0)
-            outward = (one.violation(value + step) - one.violation(value - step)) / (2 * step)
-            rows.append(-outward * (value or 1.0) * relative[one.goal.header])
-        spaces = found[len(smooth) :] / _MM
+            outward = (limit.violation(value + step) - limit.violation(value - step)) / (2 * step)
+            rows.append(-outward * (value or 1.0) * relative[limit.goal.header])
+        spaces = differences[len(smooth) :] / _MM
         return relative[self.objective.header], np.array([*rows, *spaces]).reshape(-1, len(u))
 
     def _evaluated(self, u: Floats) -> Point | None:
@@ -250,14 +250,14 @@ class Descent:
         detector, goals = self.detector(u), self.evaluator.goals
         smooth = [one for one in goals.goals if not one.resolution]
         numbers = dict(zip((one.header for one in smooth), self._smooth(smooth, detector), strict=True))
-        found = row["values"] | numbers
+        by_header = row["values"] | numbers
         ends = [one.low for one in self.evaluator.limits if one.goal.name == "gap"]
         need = max((end * (1 + _KEPT[1]) for end in ends if end is not None), default=0.0)
-        kept = [-one.violation(found[one.goal.header]) - _KEPT[not one.goal.resolution] for one in self._limits()]
+        kept = [-one.violation(by_header[one.goal.header]) - _KEPT[not one.goal.resolution] for one in self._limits()]
         margins = np.array([*kept, *((one - need) / _MM for one in gaps(detector))])
-        value = float(found[self.objective.header])
+        value = float(by_header[self.objective.header])
         missed = 0.0 if self.evaluator.allowed(row) else -float(margins.min())
-        return Point(u, row, found, math.log(value) if value > 0 else -math.inf, margins, missed)
+        return Point(u, row, by_header, math.log(value) if value > 0 else -math.inf, margins, missed)
 
     def _smooth(self, goals: Sequence[Goal], detector: Detector) -> list[float]:
         return [self.evaluator.goals.number(one, detector, smooth=True) for one in goals]
@@ -282,16 +282,16 @@ class Descent:
     def _difference(self, u: Floats, i: int, function: Callable[[Detector], list[float]]) -> Floats:
         """Return the derivative of some numbers of a design by one variable, between possible neighbours."""
         for step in (_STEP, 0.1 * _STEP):
-            found = []
+            sides = []
             for side in (1, 0, -1):
                 moved = u.copy()
                 moved[i] += side * step
                 try:
-                    found.append((moved[i], function(self.detector(moved))))
+                    sides.append((moved[i], function(self.detector(moved))))
                 except DetectorError:
                     continue
-            if len(found) > 1:
-                (first, above), (last, below) = found[0], found[-1]
+            if len(sides) > 1:
+                (first, above), (last, below) = sides[0], sides[-1]
                 return np.asarray((np.array(above) - np.array(below)) / (first - last))
         return np.zeros(len(function(self.detector(u))))
 
@@ -382,21 +382,21 @@ def descend(
     own = [one.start(evaluator.base) for one in variables]
     pairs = zip(own, variables, strict=True)
     first = np.array([(value - one.low) / (one.high - one.low) for value, one in pairs])
-    found: list[Found] = []
+    descents: list[Found] = []
     for u in (first, *_other_starts(evaluator, variables, how)):
         descent = Descent(evaluator, variables, objective, progress)
         try:
-            found.append(_descended(descent, u, method, tolerance, how.steps))
+            descents.append(_descended(descent, u, method, tolerance, how.steps))
         except NoStartError:
             if u is first:
                 raise
-    best = min(found, key=lambda one: one.optimum(objective))
-    designs = [one for other in found if other is not best for one in other.designs] + list(best.designs)
+    best = min(descents, key=lambda one: one.optimum(objective))
+    designs = [one for other in descents if other is not best for one in other.designs] + list(best.designs)
     kinds = ["value" if one.kind == "optimum" and one is not designs[-1] else one.kind for one in designs]
     numbered = [replace(one, call=i + 1, kind=kind) for i, (one, kind) in enumerate(zip(designs, kinds, strict=True))]
-    several = f"the best of {len(found)} starts: " if how.starts > 1 else ""
+    several = f"the best of {len(descents)} starts: " if how.starts > 1 else ""
     message = several + best.message
-    return Found(tuple(numbered), sum(one.gradients for one in found), message)
+    return Found(tuple(numbered), sum(one.gradients for one in descents), message)
 
 
 def _other_starts(evaluator: Evaluator, variables: tuple[Variable, ...], how: Search) -> list[Floats]:
@@ -404,13 +404,13 @@ def _other_starts(evaluator: Evaluator, variables: tuple[Variable, ...], how: Se
     if how.starts == 1:
         return []
     points = sobol({one.key: (0.0, 1.0) for one in variables}, 64 * how.starts, seed=how.seed).variants
-    found: list[Floats] = []
+    starts: list[Floats] = []
     for point in points:
         u = np.array(list(point.values()))
         values = [one.low + x * (one.high - one.low) for one, x in zip(variables, u, strict=True)]
-        if len(found) < how.starts - 1 and _is_possible(evaluator.base, changes_of(variables, values)):
-            found.append(u)
-    return found
+        if len(starts) < how.starts - 1 and _is_possible(evaluator.base, changes_of(variables, values)):
+            starts.append(u)
+    return starts
 
 
 def _is_possible(base: Detector, changes: Changes) -> bool:
@@ -531,11 +531,11 @@ def _move(slope: Floats, matrix: Floats, margins: Floats, u: Floats, size: float
     from scipy.optimize import linprog
 
     box = [(max(-size, -x), min(size, 1 - x)) for x in u.tolist()]
-    found = linprog(
+    solution = linprog(
         [*slope, _WEIGHT], A_ub=np.column_stack([-matrix, -np.ones(len(matrix))]) if len(matrix) else None,
         b_ub=margins if len(matrix) else None, bounds=[*box, (0, None)],
     )  # fmt: skip
-    return np.asarray(found.x[:-1]), float(found.x[-1])
+    return np.asarray(solution.x[:-1]), float(solution.x[-1])
 
 
 def _taken(descent: Descent, here: Point, move: Floats, gain: float, worst: float) -> Point | None:
@@ -596,21 +596,21 @@ def rounded(base: Detector, variables: tuple[Variable, ...], values: tuple[Any, 
     values : tuple
         Of the variables.
     """
-    found = list(values)
-    given = {path for one in variables for key in one.key.split(",") for path in matching(base, key.strip(), [])}
+    whole = list(values)
+    stated = {path for one in variables for key in one.key.split(",") for path in matching(base, key.strip(), [])}
     for view in "xv":  # V strips cross the X strips: these come first
-        detector = base.with_overrides(dict(changes_of(variables, found)))
-        for i, one in enumerate(variables):
-            paths = list(matching(base, one.key, [])) if "," not in one.key else []
-            if len(paths) != 1 or not paths[0].endswith(f".pitch_{view}") or one.before:
+        detector = base.with_overrides(dict(changes_of(variables, whole)))
+        for i, variable in enumerate(variables):
+            paths = list(matching(base, variable.key, [])) if "," not in variable.key else []
+            if len(paths) != 1 or not paths[0].endswith(f".pitch_{view}") or variable.before:
                 continue
             layer = next(layer for layer in detector.cgem if paths[0] == f"cgem.{layer.label}.pitch_{view}")
             now = value_at(detector, paths[0])
-            wanted = found[i] * _filling(layer, view, given) / now[0] if now else found[i]
+            wanted = whole[i] * _filling(layer, view, stated) / now[0] if now else whole[i]
             # Downward in the last of the eight digits, so that the last strip still fits.
             wanted = math.floor(wanted * 10 ** (7 - _digits(wanted))) / 10 ** (7 - _digits(wanted))
-            found[i] = wanted if one.low <= wanted <= one.high else found[i]
-    return tuple(found)
+            whole[i] = wanted if variable.low <= wanted <= variable.high else whole[i]
+    return tuple(whole)
 
 
 def _digits(value: float) -> int:

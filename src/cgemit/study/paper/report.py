@@ -140,12 +140,12 @@ def _windows(study: Reproduction) -> list[Part]:
 def _deltas(study: Reproduction) -> list[Part]:
     if not study.inputs.settings.simulate.deltas:
         return ["Delta electrons were left out of this run."]
-    found = study.samples["cgem"].deltas
-    pairs = zip(found.rphi, found.rphi_error, found.z, found.z_error, strict=True)
+    deltas = study.samples["cgem"].deltas
+    pairs = zip(deltas.rphi, deltas.rphi_error, deltas.z, deltas.z_error, strict=True)
     cells = [[with_error(100 * v, 100 * e), with_error(100 * w, 100 * f)] for v, e, w, f in pairs]
-    rows = [[f"{distance:g} mm", *pair] for distance, pair in zip(found.beyond, cells, strict=True)]
+    rows = [[f"{distance:g} mm", *pair] for distance, pair in zip(deltas.beyond, cells, strict=True)]
     text = (
-        f"Per cent of the {found.crossings:,} crossings of a drift gap, all layers and angles of the sample, in which "
+        f"Per cent of the {deltas.crossings:,} crossings of a drift gap, all layers and angles of the sample, in which "
         "a delta electron left a deposit farther from the track than stated, ± statistical error."
     )
     return [text, TableOf(("farther than", "in r-φ", "in z"), rows, frozenset({1, 2}))]

@@ -261,11 +261,11 @@ def _window_rows(sample: Sample) -> list[Row]:
 
 
 def _delta_rows(sample: Sample) -> list[Row]:
-    found, rows = sample.deltas, []
-    for way, values, errors in (("rphi", found.rphi, found.rphi_error), ("z", found.z, found.z_error)):
+    deltas, rows = sample.deltas, []
+    for way, values, errors in (("rphi", deltas.rphi, deltas.rphi_error), ("z", deltas.z, deltas.z_error)):
         for distance, value, error in zip(DISTANCES, values, errors, strict=True):
             name = f"{distance:g}mm" if distance >= 1 else f"{1e3 * distance:.0f}um"
-            note = explain_deltas(found.crossings, simulated=sample.settings.simulate.deltas)
+            note = explain_deltas(deltas.crossings, simulated=sample.settings.simulate.deltas)
             rows.append(_row(f"delta_fraction_{way}_{name}", sample, value, error, note))
     return rows
 

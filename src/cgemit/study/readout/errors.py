@@ -125,10 +125,10 @@ def crossing_slopes(detector: Detector, truths: Table) -> Floats:
     (inner, first, below), (outer, last, above) = _ends(truths)
     turn = np.angle(np.exp(1j * (last - first)))
     slopes = np.zeros((len(truths), 2))
-    for number, one in enumerate(detector.cgem):
+    for number, layer in enumerate(detector.cgem):
         here = truths["layer"] == number
-        dx, dz = one.r_readout * turn[here], (above - below)[here]
-        across = np.column_stack([dx, local_v(one, dx, one.z_ref + dz)])
+        dx, dz = layer.r_readout * turn[here], (above - below)[here]
+        across = np.column_stack([dx, local_v(layer, dx, layer.z_ref + dz)])
         slopes[here] = across / (outer - inner)[here, None]
     return slopes
 
@@ -315,14 +315,14 @@ _TAIL, _WIDER = 0.05, 4.0  # share and width, over that of the core, of clusters
 
 def fitted_height(sample: Terms) -> float:
     """Return the factor of heights with which residuals are zero in the mean; tails count little."""
-    found = 0.0
+    height = 0.0
     for _ in range(_ROUNDS):
-        left = sample.residual + sample.heights * found
+        left = sample.residual + sample.heights * height
         width = float(np.median(np.abs(left))) / 0.6745
         weight = 1 / (1 + (left / (_FARTHEST * width)) ** 2)
         weighted = sample.heights * weight
-        found = -float(weighted @ sample.residual / (weighted @ sample.heights))
-    return found
+        height = -float(weighted @ sample.residual / (weighted @ sample.heights))
+    return height
 
 
 def fitted_factors(sample: Terms, names: tuple[str, ...], given: dict[str, float]) -> dict[str, float]:
@@ -399,24 +399,24 @@ def fit_errors(
             {name: np.concatenate([one.variances[name] for one in parts]) for name in _FACTORS},
         )  # fmt: skip
 
-    found = dict.fromkeys((one.name for one in fields(ChipErrors)), 0.0)
+    factors = dict.fromkeys((one.name for one in fields(ChipErrors)), 0.0)
     if timed:
-        found[_HEIGHT] = fitted_height(sample("merged", True, None))
-    heights = ChipErrors(**found)
+        factors[_HEIGHT] = fitted_height(sample("merged", True, None))
+    heights = ChipErrors(**factors)
     centroid = sample("centroid", False, heights)
     if not timed:
-        return ChipErrors(**found | fitted_factors(centroid, ("ionization", "cut", "wide"), {}))
+        return ChipErrors(**factors | fitted_factors(centroid, ("ionization", "cut", "wide"), {}))
     merged = sample("merged", True, heights)
     of_merged = ("diffusion", "span", "time", "wide")
     for _ in range(3):  # each takes the others' factors
-        others = {name: found[name] for name in of_merged}
-        found |= fitted_factors(centroid, ("ionization", "cut"), others)
-        found |= fitted_factors(merged, of_merged, {"cut": found["cut"]})
-    line = {name: found[name] for name in (*of_merged, "cut")}
-    found |= fitted_factors(sample("micro-tpc", False, heights), ("line",), line)
+        others = {name: factors[name] for name in of_merged}
+        factors |= fitted_factors(centroid, ("ionization", "cut"), others)
+        factors |= fitted_factors(merged, of_merged, {"cut": factors["cut"]})
+    line = {name: factors[name] for name in (*of_merged, "cut")}
+    factors |= fitted_factors(sample("micro-tpc", False, heights), ("line",), line)
     if progress is not None:
         progress(1.0)
-    return ChipErrors(**found)
+    return ChipErrors(**factors)
 
 
 def _clusters(
@@ -467,26 +467,34 @@ def pulls(
     parts: list[tuple[npt.NDArray[Any], ...]] = []
     for number in range(designs):
         at = design(readout, 2 * number + 1)
-        one = with_estimator(at.readout, estimator or readout.estimator)
-        clusterer, inputs = charge_clusterer(one), error_inputs(at.detector, one)
-        (group,) = at.detector.with_readout(one).groups
+        own = with_estimator(at.readout, estimator or readout.estimator)
+        clusterer, inputs = charge_clusterer(own), error_inputs(at.detector, own)
+        (group,) = at.detector.with_readout(own).groups
         if errors is not None:
             inputs = inputs._replace(chip=inputs.chip | asdict(errors))
         for displaced in (0.0, _DISPLACED) if of_track else (0.0,):
             particles = muons(n // 2, 1000 + seed + number, displaced)
             result = run(
-                at.detector, particles, seed=1000 + seed + number, readout=one, until="digitize", workers=threads
+                at.detector, particles, seed=1000 + seed + number, readout=own, until="digitize", workers=threads
             )
             clusters = _clusters(clusterer, group, result.digis, inputs)
             if of_track:
                 directions = true_directions(at.detector, clusters, result.truths)
                 clusters = _clusters(clusterer, group, result.digis, inputs, directions)
-            found = measurements(at.detector, clusters, result.truths, lorentz=clusterer.lorentz)
-            rank = np.argsort(np.argsort(found.charge)) / len(found.charge)
-            pull = found.residual / found.error
+            measured = measurements(at.detector, clusters, result.truths, lorentz=clusterer.lorentz)
+            rank = np.argsort(np.argsort(measured.charge)) / len(measured.charge)
+            pull = measured.residual / measured.error
             of_design = np.full(len(pull), float(number))
             parts.append(
-                (pull, np.sign(found.slope), np.abs(found.slope), found.size * 1.0, rank, found.view * 1.0, of_design)
+                (
+                    pull,
+                    np.sign(measured.slope),
+                    np.abs(measured.slope),
+                    measured.size * 1.0,
+                    rank,
+                    measured.view * 1.0,
+                    of_design,
+                )
             )
     pull, sign, *values = (np.concatenate(column) for column in zip(*parts, strict=True))
     by = dict(zip(("slope", "strips", "charge", "view", "design"), values, strict=True))

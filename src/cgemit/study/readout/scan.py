@@ -191,15 +191,15 @@ def _estimates(result: Result, angle: float) -> tuple[dict[str, Measurements], i
             f"readout: got no {'charge on strips' if len(truths) else 'crossing of the layer'} at "
             f"{angle:g} degrees; expected charged particles that cross it, and a lower threshold"
         )
-    found: dict[str, Measurements] = {}
+    estimates: dict[str, Measurements] = {}
     for name in ("centroid", "micro-tpc") if isinstance(readout, AnalogReadout) else ("centroid",):
         clusters = cluster(detector, digis, readout=with_estimator(readout, name))
-        found[name] = measurements(detector, clusters, truths)
+        estimates[name] = measurements(detector, clusters, truths)
     if isinstance(readout, AnalogReadout):
         directions = true_directions(detector, clusters, truths)
         clusters = cluster(detector, digis, readout=with_estimator(readout, name), directions=directions)
-        found["track"] = measurements(detector, clusters, truths)
-    return found, len(truths)
+        estimates["track"] = measurements(detector, clusters, truths)
+    return estimates, len(truths)
 
 
 def _line_shares(line: Measurements, centroid: Measurements) -> Floats:
@@ -418,8 +418,8 @@ def formation(
     particles = beam_particles(detector, particle, p, np.radians(angle), _EVENTS, seed)
     panels = []
     for lorentz, diffusion in _SWITCHES:
-        one = replace(readout, lorentz=lorentz, diffusion=diffusion * readout.diffusion)
-        result = run(detector, particles, seed=seed, readout=one, until="digitize", workers=1)
+        changed = replace(readout, lorentz=lorentz, diffusion=diffusion * readout.diffusion)
+        result = run(detector, particles, seed=seed, readout=changed, until="digitize", workers=1)
         event = int(result.truths["event"][np.argsort(result.truths["energy"])[len(result.truths) // 2]])
         truth = int(np.flatnonzero(result.truths["event"] == event)[0])
         mine = result.steps["truth"] == truth
@@ -439,7 +439,7 @@ def formation(
             FormationPanel(
                 title=", ".join(names),
                 track=np.column_stack(track),
-                drift=_lines(layer, start, bz if lorentz else 0.0, bz, one.diffusion, random),
+                drift=_lines(layer, start, bz if lorentz else 0.0, bz, changed.diffusion, random),
                 foils=_foils(layer),
                 anode=layer.anode_radius - layer.r_gap_in,
                 pitch=layer.pitch_x,
@@ -566,10 +566,10 @@ def scan_ghosts(
     threads : int or None
     """
     check_numbers("scan_ghosts", seed, threads)
-    one = detector.cgem[layer]
-    width = one.strips_x * one.pitch_x / one.r_readout
-    edge = 0.0 if one.sheets == 1 else 0.15  # rad: muons turn on their way
-    phi = (0.0, 2 * math.pi) if one.sheets == 1 else (one.phi_first + edge, one.phi_first + width - edge)
+    cylinder = detector.cgem[layer]
+    width = cylinder.strips_x * cylinder.pitch_x / cylinder.r_readout
+    edge = 0.0 if cylinder.sheets == 1 else 0.15  # rad: muons turn on their way
+    phi = (0.0, 2 * math.pi) if cylinder.sheets == 1 else (cylinder.phi_first + edge, cylinder.phi_first + width - edge)
     gun = Gun("mu-", p=p, cos_theta=(-cos_theta, cos_theta), phi=phi)
     points = []
     for number in tracks:
@@ -584,7 +584,7 @@ def scan_ghosts(
             workers=threads,
         )
         points.append(_point(result.clusters, layer, number, seed))
-    title = f"{readout.name}, layer {one.label} of {detector.name}, mu- of {p:g} GeV/c, {n} events each"
+    title = f"{readout.name}, layer {cylinder.label} of {detector.name}, mu- of {p:g} GeV/c, {n} events each"
     return GhostScan(title, tuple(points))
 
 

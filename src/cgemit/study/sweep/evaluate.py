@@ -139,10 +139,10 @@ class Evaluation(SettingsData):
         """Return all that results depend on, beside the detector, as JSON."""
         if self.function is not None:
             return {"method": "function", "function": identity(self.function)}
-        found: dict[str, Any] = {"method": self.method, "particle": self.particle, "points": self.points()}
-        found |= {"settings": (self.settings or Settings()).to_dict(), "quantities": self.quantities}
+        description: dict[str, Any] = {"method": self.method, "particle": self.particle, "points": self.points()}
+        description |= {"settings": (self.settings or Settings()).to_dict(), "quantities": self.quantities}
         simulated = {"events": self.events, "seed": self.seed, "groups": GROUPS}
-        return found | (simulated if self.method == "mc" else {"samples": self.samples})
+        return description | (simulated if self.method == "mc" else {"samples": self.samples})
 
     def points(self) -> list[dict[str, Any]]:
         """Return momentum and angle of every point; one point without them for a function."""

@@ -135,16 +135,16 @@ def read_tables(
 
 def _change(tables: dict[str, Any], key: str, value: Any, problems: Problems) -> None:
     """Replace one value of a plan's tables, by dotted key."""
-    first, _, rest = key.partition(".")
-    if not rest:
+    first, _, below = key.partition(".")
+    if not below:
         tables[first] = value
     elif not isinstance(tables.setdefault(first, {}), dict):
         problems.note(key, repr(value), f"a value of a table; {first} is none")
     elif first == "settings":
-        stage, _, name = rest.partition(".")
+        stage, _, name = below.partition(".")
         tables[first].setdefault(stage, {})[name] = value
     else:
-        tables[first][rest] = value
+        tables[first][below] = value
 
 
 def read_evaluation(
@@ -157,11 +157,11 @@ def read_evaluation(
     """
     settings = build(Settings, tables["settings"], "settings", problems) if "settings" in tables else None
     known = [one.name for one in fields(Evaluation) if one.name not in ("settings", *without)]
-    given = tables.get("evaluate", {})
-    stored = given.get(FUNCTION) if isinstance(given, Mapping) else None
+    stated = tables.get("evaluate", {})
+    stored = stated.get(FUNCTION) if isinstance(stated, Mapping) else None
     if stored is not None:
-        given = {name: value for name, value in given.items() if name != FUNCTION}
-    table = dict(entries(given, "evaluate", known, problems))
+        stated = {name: value for name, value in stated.items() if name != FUNCTION}
+    table = dict(entries(stated, "evaluate", known, problems))
     if isinstance(table.get("method"), str) and ":" in table["method"]:
         table["method"] = (
             Evaluated(str(stored)) if evaluated else function_of("evaluate.method", table["method"], problems)
@@ -310,7 +310,7 @@ def _named_files(tables: dict[str, Any], folder: Path) -> dict[tuple[str, str], 
 
     A name is relative to the plan, else to the working directory. One that would leave the folder loses its folders.
     """
-    found: dict[tuple[str, str], Path] = {}
+    files: dict[tuple[str, str], Path] = {}
     taken: dict[str, Path | None] = dict.fromkeys((PLAN, BASE, "sweep.csv", SUMMARY))
 
     def name_of(key: str, given: str) -> str:
@@ -323,7 +323,7 @@ def _named_files(tables: dict[str, Any], folder: Path) -> dict[tuple[str, str], 
         while taken.setdefault(str(name), path) != path:
             number += 1
             name = first.with_stem(f"{first.stem}-{number}")
-        found[key, str(name)] = path
+        files[key, str(name)] = path
         return str(name)
 
     def named(key: str, value: Any) -> Any:
@@ -339,14 +339,14 @@ def _named_files(tables: dict[str, Any], folder: Path) -> dict[tuple[str, str], 
     for group in tables.keys() & {"vary", "variants"}:
         given = tables[group]
         tables[group] = [changed(one) for one in given] if isinstance(given, list) else changed(given)
-    return found
+    return files
 
 
 def _space(tables: Mapping[str, Any], sample: Sample | None, problems: Problems) -> Space | None:
-    given = [name for name in ("vary", "variants") if name in tables]
-    if len(given) != 1:
-        problems.note("vary, variants", "both" if given else "none", "one of them")
-    elif given == ["vary"]:
+    stated = [name for name in ("vary", "variants") if name in tables]
+    if len(stated) != 1:
+        problems.note("vary, variants", "both" if stated else "none", "one of them")
+    elif stated == ["vary"]:
         return problems.collect(sample.space, tables["vary"]) if sample else None
     elif isinstance(tables["variants"], list):
         return problems.collect(listed, tables["variants"])

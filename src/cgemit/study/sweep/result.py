@@ -299,12 +299,12 @@ def _differences(row: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, l
     """Return the differences of simulated resolutions to the base's at all points, with their paired errors."""
     if "replicas" not in row or "replicas" not in base:
         return {}
-    found = {}
+    differences = {}
     pairs = list(zip(row["replicas"], base["replicas"], strict=True))
     for name in base["replicas"][0]:
         known = QUANTITIES[name]
         sigmas = zip(*(one["columns"][known.column()] for one in (row, base)), strict=True)
-        found[known.column("delta_sigma")] = [mine - other for mine, other in sigmas]
+        differences[known.column("delta_sigma")] = [mine - other for mine, other in sigmas]
         errors = [jackknife(np.subtract(mine[name], other[name])) for mine, other in pairs]
-        found[known.column("delta_sigma", "_error")] = errors
-    return found
+        differences[known.column("delta_sigma", "_error")] = errors
+    return differences

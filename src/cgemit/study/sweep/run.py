@@ -199,11 +199,11 @@ def compute_rows(
 
     def keep(future: Future[str]) -> None:
         i, text = futures.pop(future), future.result()
-        found = rows_of_text(text)
-        check(found)
-        if folder and all(row["status"] != "failed" for row in found):
+        chunk_rows = rows_of_text(text)
+        check(chunk_rows)
+        if folder and all(row["status"] != "failed" for row in chunk_rows):
             write_chunk(folder, names[i], text)
-        rows[i] = found
+        rows[i] = chunk_rows
 
     try:
         with pool_of(workers, len(waiting)) as pool:
@@ -379,12 +379,14 @@ def _with_bases(base: Detector, space: Space) -> list[tuple[Detector, Changes]]:
     def detector_of(own: Changes) -> Detector:
         if (name := repr(own)) not in made:
             placed = {key: with_files(key, value, path_of) for key, value in own.items()}
-            found = load(placed["base"]) if "base" in own else base
+            detector = load(placed["base"]) if "base" in own else base
             if "field" in own:
-                found = _named(found.with_field(placed["field"]), found, "field", own)
+                detector = _named(detector.with_field(placed["field"]), detector, "field", own)
             if "field.file" in own:
-                found = _named(found.with_overrides({"field.file": placed["field.file"]}), found, "field.file", own)
-            made[name] = found
+                detector = _named(
+                    detector.with_overrides({"field.file": placed["field.file"]}), detector, "field.file", own
+                )
+            made[name] = detector
         return made[name]
 
     pairs: list[tuple[Detector, Changes]] = []

@@ -279,16 +279,16 @@ def split_quantity(value: Any) -> tuple[str, float, str] | None:
 
 def split_range(low: Any, high: Any) -> tuple[str, float, float, str] | None:
     """Return ("x" or "", low, high, unit of low) of two values of one dimension; None if they are none."""
-    one, other = split_quantity(low), split_quantity(high)
-    if one is None or other is None or one[0] != other[0]:
+    start, end = split_quantity(low), split_quantity(high)
+    if start is None or end is None or start[0] != end[0]:
         return None
-    before, first, unit = one
-    if unit == other[2]:
-        return before, first, other[1], unit
-    both = next((name for name in _DIMENSIONS if {unit, other[2]} <= set(units_of(name))), None)
-    if both is None or not unit or not other[2]:
+    before, first, unit = start
+    if unit == end[2]:
+        return before, first, end[1], unit
+    dimension = next((name for name in _DIMENSIONS if {unit, end[2]} <= set(units_of(name))), None)
+    if dimension is None or not unit or not end[2]:
         return None
-    last = parse_quantity(high, both) / parse_quantity(f"1 {unit}", both)
+    last = parse_quantity(high, dimension) / parse_quantity(f"1 {unit}", dimension)
     return before, first, float(f"{last:.12g}"), unit
 
 
@@ -364,7 +364,7 @@ def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
         Wrong values are no problem here (`value_problems`).
     """
     tried: set[tuple[str, int]] = set()
-    found: dict[str, Problem] = {}
+    by_key: dict[str, Problem] = {}
     fine: set[str] = set()
     for base, changes in pairs:
         new = [key for key in changes if (key, id(base)) not in tried]
@@ -377,8 +377,8 @@ def key_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
             if own is None:
                 fine.add(key)
             else:
-                found[key] = _of_key(base, key, own)
-    return [one for key, one in found.items() if key not in fine]
+                by_key[key] = _of_key(base, key, own)
+    return [one for key, one in by_key.items() if key not in fine]
 
 
 #: Wrong values of one key that are listed.
@@ -393,7 +393,7 @@ def value_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
     pairs : iterable of (Detector, mapping)
         Each variant's base and changes. Relative values and numbers that depend on other parts are no problem here.
     """
-    found: dict[str, Problems] = {}
+    by_key: dict[str, Problems] = {}
     tried: set[tuple[str, int, type, Any]] = set()
     for base, changes in pairs:
         for key, value in changes.items():
@@ -402,11 +402,11 @@ def value_problems(pairs: Iterable[tuple[Detector, Changes]]) -> list[Problem]:
             if (one := (key, id(base), type(value), value)) in tried:
                 continue
             tried.add(one)
-            problems = found.setdefault(key, Problems())
+            problems = by_key.setdefault(key, Problems())
             for _, limits in _values(key, base)[:1] if len(problems) < _MOST_LISTED else ():
                 if limits.kind in NATIVE and limits not in CELLS.values():
                     limits.read(key, value, problems)
-    return [problem for problems in found.values() for problem in dict.fromkeys(problems)]
+    return [problem for problems in by_key.values() for problem in dict.fromkeys(problems)]
 
 
 def _unknown(base: Detector, changes: Changes) -> list[Problem]:
