@@ -13,7 +13,8 @@ import sys
 import warnings
 from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -73,6 +74,8 @@ class Record:
     events: dict[str, Array]
 
 
+# The table of particles refuses momenta that are not finite or too large.
+@np.errstate(over="ignore", invalid="ignore")
 def taken(record: Record, path: Path, charges: Mapping[int, int], name: str) -> dict[str, Array]:
     """Return the columns of the particles that are simulated: final ones, and charged ones that decay in the detector.
 
@@ -517,26 +520,26 @@ def _relation(tree: Any, collection: str) -> str | None:
 
 
 def kind_of_root(path: Path) -> str:
-    """Return what a ROOT file holds: "hepmc", "edm4hep", "cgemit" or "other".
+    """Return what a ROOT file holds: "hepmc", "edm4hep", "cgemit" or "other"."""
+    with package("uproot").open(path) as file:
+        names = {name.partition(";")[0] for name in file.keys(recursive=False)}
+        if "cgemit" in names:
+            return "cgemit"
+        if "hepmc3_tree" in names:
+            return "hepmc"
+        return "edm4hep" if "events" in names and _collections(file["events"]) else "other"
 
-    Raises
-    ------
-    ParticleError
-        If it is damaged.
-    """
-    check_regular(path)
+
+@contextmanager
+def whole_root(path: Path) -> Iterator[None]:
+    """Refuse a ROOT file where anything of uproot fails: a damaged file is bad input, whatever notices it."""
     try:
-        with package("uproot").open(path) as file:
-            names = {name.partition(";")[0] for name in file.keys(recursive=False)}
-            if "cgemit" in names:
-                return "cgemit"
-            if "hepmc3_tree" in names:
-                return "hepmc"
-            return "edm4hep" if "events" in names and _collections(file["events"]) else "other"
-    except (OSError, ValueError, KeyError) as error:
-        if isinstance(error, FileNotFoundError | ImportError):
-            raise
-        _refuse(path, None, f"a file that uproot cannot read ({str(error).splitlines()[0]:.80})", "a whole ROOT file")
+        yield
+    except (ParticleError, ImportError, FileNotFoundError):
+        raise
+    except Exception as error:
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        _refuse(path, None, f"a file that uproot cannot read ({reason:.80})", "a whole ROOT file")
 
 
 def _tree(path: Path, name: str) -> Any:

@@ -7,6 +7,7 @@ import os
 import re
 import warnings
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -25,6 +26,7 @@ from cgemit.particles.records import (
     read_hepmc,
     read_hepmc_root,
     taken,
+    whole_root,
 )
 from cgemit.particles.species import KNOWN, charge_of, usual_mass
 from cgemit.tables import SCHEMAS, Table
@@ -223,13 +225,19 @@ def _from_file(path: Path, charges: Mapping[int, int]) -> tuple[Any, dict[str, A
             raise ParticleError(str(path), [Problem("", got, expected)])
     kind = "hepmc text" if path.name.endswith(ENDINGS) else path.suffix
     if kind == ".root":
-        kind = kind_of_root(path)
+        check_regular(path)
+        with whole_root(path):
+            kind = kind_of_root(path)
     if kind in _RECORDS:
         read, name = _RECORDS[kind]
-        record: Record = read(path)
+        with nullcontext() if kind == "hepmc text" else whole_root(path):
+            record: Record = read(path)
         return taken(record, path, charges, name), record.events
-    if kind == ".csv" or kind == "other":
-        return (_read_csv(path) if kind == ".csv" else _read_tree(path)), None
+    if kind == ".csv":
+        return _read_csv(path), None
+    if kind == "other":
+        with whole_root(path):
+            return _read_tree(path), None
     if path.suffix not in BY_SUFFIX:
         known = ", ".join((*BY_SUFFIX, ".csv", *ENDINGS))
         raise ParticleError("table of particles", [Problem("", f"the file {str(path)[:80]!r}", f"one of {known}")])
@@ -297,10 +305,11 @@ def _read_tree(path: Path) -> Any:
             if not lists:
                 continue
             wanted = [names[name] for name in (*_NEEDED, *_OPTIONAL) if name in names]
-            arrays = tree.arrays(wanted, library="ak")
-            depth = {name: arrays[name].ndim for name in wanted}
+            # One by one: a name such as "px [MeV]" is no expression.
+            arrays = {name: tree[name].array(library="ak") for name in wanted}
+            depth = {name: array.ndim for name, array in arrays.items()}
             if set(depth.values()) == {2}:
-                return arrays
+                return package("awkward").zip(arrays, depth_limit=1)
             if left := [str(name) for name in tree.keys() if str(name) not in wanted]:  # noqa: SIM118
                 warnings.warn(f"{path}: branches that mean nothing here are left out: {', '.join(left)}", stacklevel=5)
             flat = [name for name in wanted if depth[name] == 1]

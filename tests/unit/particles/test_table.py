@@ -380,6 +380,14 @@ def test_hepmc_numbers_that_would_be_misread_are_refused(
         particles_from(tmp_path / name)
 
 
+@pytest.mark.parametrize(("value", "message"), [("nan", "not finite"), ("inf", "not finite"), ("1e300", "beyond")])
+def test_momenta_of_hepmc_that_are_none(value: str, message: str, tmp_path: Path) -> None:
+    """Without warnings of numpy on the way."""
+    (tmp_path / "a.hepmc3").write_text(NEW_HEPMC.replace("-0.5 -0.25 -0.5 0.8", f"{value} -0.25 -0.5 0.8"))
+    with pytest.raises(ParticleError, match=rf"px: is {message}"):
+        particles_from(tmp_path / "a.hepmc3")
+
+
 def damaged(text: str, random: np.random.Generator) -> str:
     """Return a text of HepMC with lines doubled, dropped or exchanged, and words changed, dropped, added or cut."""
     lines = text.split("\n")
@@ -833,3 +841,31 @@ def test_unknown_charges_count_where_a_track_could_be(tmp_path, end, told):
         warnings.simplefilter("always")
         assert len(particles_from(write_edm4hep(tmp_path / "a.root", "MCParticles", **changes))) == 1
     assert any("whose charge is not known" in str(one.message) for one in found) == told
+
+
+def test_damaged_root_files_are_refused(tmp_path: Path) -> None:
+    """Whatever of uproot notices it; files whose changed bytes mean nothing give the same columns."""
+    columns = {**{name: np.array(values) for name, values in MUONS.items()}, "px [MeV]": np.array([1e3, 2e3])}
+    del columns["px"]
+    with uproot.recreate(tmp_path / "whole.root") as file:
+        file["particles"] = columns
+    whole = (tmp_path / "whole.root").read_bytes()
+    right = particles_from(tmp_path / "whole.root")
+    assert right["px"].tolist() == [1.0, 2.0]
+    random, refused = np.random.default_rng(5), 0
+    for cut in (0.3, 0.5, 0.7, 0.9):
+        (tmp_path / "cut.root").write_bytes(whole[: int(cut * len(whole))])
+        with pytest.raises(
+            ParticleError, match=r"cut.root: 1 problem\n  got a file that uproot cannot read \(.+\), expected"
+        ):
+            particles_from(tmp_path / "cut.root")
+    for _ in range(40):
+        changed = bytearray(whole)
+        for place in random.integers(0, len(whole), 3):
+            changed[place] ^= int(random.integers(1, 256))
+        (tmp_path / "changed.root").write_bytes(changed)
+        try:
+            particles_from(tmp_path / "changed.root")
+        except ParticleError:
+            refused += 1
+    assert refused > 5
