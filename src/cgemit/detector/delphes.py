@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -275,6 +276,8 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
     """Return the barrel layers by radius, and the labels of the disks."""
     rows: list[Row] = []
     disks = []
+    without_value: dict[tuple[str, ...], int] = {}  # variables -> the problem of the first row with them
+    more: Counter[int] = Counter()
     for line_number, line in enumerate(geometry.text.splitlines(), start=geometry.line):
         words = card.value(line.split("#")[0].rstrip("; \t"), scope).split()
         if not words:
@@ -287,6 +290,11 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
                 raise ValueError
         except (IndexError, ValueError):
             unknown = [word for word in words if word[0] in "$["]
+            if unknown and (before := without_value.get(tuple(unknown))) is not None:
+                more[before] += 1
+                continue
+            if unknown:
+                without_value[tuple(unknown)] = len(problems)
             expected = f"{_COLUMNS} columns: 1 or 2, a label, and numbers"
             hint = f"; no value is set for {', '.join(unknown)}" if unknown else ""
             hint += f": add a line such as set {unknown[0][1:]} 1.0" if unknown and unknown[0][0] == "$" else ""
@@ -313,6 +321,8 @@ def _rows(card: _Card, geometry: _Value, scope: _Scope, problems: list[Problem])
                 efficiency=efficiency if any(on) else 1.0,
             )
         )  # fmt: skip
+    for k, count in more.items():
+        problems[k] = problems[k]._replace(given=f"{problems[k].given} and {count} more rows")
     return sorted(rows, key=lambda row: row.radius), disks
 
 

@@ -187,6 +187,16 @@ def test_rows_that_cannot_be_read(tmp_path, rows, field, message):
         cg.load(card(tmp_path, rows, field))
 
 
+def test_a_variable_without_a_value_is_told_once(tmp_path):
+    """As RLENGTH of cards/delphes_card_CEPC_4th.tcl (github.com/oiunun/Delphes_CEPC), in 67 rows."""
+    path = card(tmp_path, IDEA.replace(" 1400 ", " $RLENGTH "))
+    expected = r"1 problem\n  line 13: got .* and 13 more rows, expected .*add a line such as set RLENGTH 1.0"
+    with pytest.raises(DetectorError, match=expected):
+        cg.load(path)
+    path.write_text(f"set RLENGTH 1400\n{path.read_text()}")
+    assert len(cg.load(path).layers) == 21
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
