@@ -5,6 +5,7 @@
 
 #include "common/units.hpp"
 #include "kalman/filter.hpp"
+#include "reconstruction/find/find.hpp"
 
 namespace cgemit {
 
@@ -13,6 +14,16 @@ inline constexpr double most_prompt = 8;  // about the largest `log_prompt`
 
 inline double log_gaussian(double chi2, double variance) {
   return -0.5 * (chi2 + std::log(2 * pi * variance));
+}
+
+// rad2, of the scatter in one layer, with the slope 1/cos(theta)^2 of the track (Highland, without the
+// logarithm).
+inline double scatter_in_layer(const FindSettings& settings, double pt, double slope) {
+  constexpr double thickness = 0.008,
+                   highland = 13.6 * MeV;  // radiation lengths of a layer; of the beam pipe, too
+  const double p2 = pt * pt * slope;
+  return square(settings.charge * highland) * thickness * std::sqrt(slope) *
+         (p2 + settings.mass * settings.mass) / (p2 * p2);
 }
 
 // Most tracks come from the beams' crossing, while chance has no such preference: it spreads d up to `max_d`

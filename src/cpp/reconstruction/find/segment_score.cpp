@@ -10,8 +10,6 @@ namespace cgemit {
 
 namespace {
 
-constexpr double thickness = 0.008;  // radiation lengths of a layer; of the beam pipe, too
-constexpr double highland = 13.6 * MeV;
 constexpr double least_error = 0.3;  // mm, of a height
 // Of the residuals: delta electrons and noise move clusters.
 constexpr double tail = 0.1, tail_width = 4;
@@ -56,7 +54,7 @@ void SegmentScore::circle(const std::array<std::size_t, 3>& layers, const std::a
   x_ = x;
   s_ = s;
   d_ = d;
-  pt_ = settings_.momentum > 0 ? settings_.momentum : settings_.charge / std::max(std::abs(kappa), 1e-3);
+  pt_ = pt_of(kappa);
   const double ab = s[1] - s[0], bc = s[2] - s[1], ac = s[2] - s[0];
   // The closest approach is a sum of the three points with these weights.
   const Three weight{s[1] * s[2] / (ab * ac), -s[0] * s[2] / (ab * bc), s[0] * s[1] / (ac * bc)};
@@ -85,11 +83,13 @@ double SegmentScore::height_variance(std::size_t i, std::int32_t v) const {
          least_error * least_error;
 }
 
-SegmentScore::Scatter SegmentScore::scatter(double tanl) const {
-  const double stretch = 1 + tanl * tanl, p2 = pt_ * pt_ * stretch;
-  const double angle = square(settings_.charge * highland) * thickness * std::sqrt(stretch) *
-                       (p2 + settings_.mass * settings_.mass) / (p2 * p2);
-  return {angle, angle * square((s_[2] - s_[1]) * stretch)};
+double SegmentScore::pt_of(double kappa) const {
+  return settings_.momentum > 0 ? settings_.momentum : settings_.charge / std::max(std::abs(kappa), 1e-3);
+}
+
+SegmentScore::Scatter SegmentScore::scatter(double pt, double arc, double tanl) const {
+  const double stretch = 1 + tanl * tanl, angle = scatter_in_layer(settings_, pt, stretch);
+  return {angle, angle * square(arc * stretch)};
 }
 
 bool SegmentScore::is_far(const Scatter& scatter, double off) const {

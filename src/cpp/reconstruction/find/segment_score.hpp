@@ -29,7 +29,13 @@ class SegmentScore {
   struct Scatter {
     double angle, middle;
   };
-  Scatter scatter(double tanl) const;
+  Scatter scatter(double tanl) const { return scatter(pt_, s_[2] - s_[1], tanl); }
+  // Whether no line on a circle of this curvature or less has its middle height at least so far off, in mm.
+  // Upper bounds: curvature, arc length from the middle to the outer point, slope of the line.
+  bool is_hopeless(double kappa, double arc, double tanl, double off) const {
+    constexpr double rounding = 1e-6;
+    return is_far(scatter(pt_of(kappa), arc, tanl), (1 - rounding) * off);
+  }
   // Whether no particle has its middle height so far from the line of the others, in mm.
   bool is_far(const Scatter& scatter, double off) const;
   double of_three(const Scatter& scatter, const std::array<std::int32_t, 3>& v, double off, double z0) const;
@@ -40,6 +46,8 @@ class SegmentScore {
   double most_of_two(std::size_t first, std::size_t second, double z0) const;
 
  private:
+  double pt_of(double kappa) const;
+  Scatter scatter(double pt, double arc, double tanl) const;
   double height_variance(std::size_t i, std::int32_t v) const;
   double near(const Scatter& scatter, double z0) const;
   double most_near(double z0) const;

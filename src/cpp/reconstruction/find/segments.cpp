@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/angles.hpp"
+#include "common/units.hpp"
 #include "detector/strip_plane.hpp"
 #include "motion/helix.hpp"
 #include "motion/views.hpp"
@@ -139,6 +140,7 @@ bool SegmentFinder::three_of(const Layers& layers, const EventHits& hits) {
 void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, const Point& c,
                           const EventHits& hits) {
   work_ += work_of_circle;
+  if (!alone_ && !may_hold_line(layers, a, b, c, hits)) return;
   HelixPoint at = circle_through(a.x, a.y, b.x, b.y, c.x, c.y);
   if (std::abs(at.w) > slowed * largest_w_ || at.outward() < 0) return;
   const PivotApproach line = approach_pivot(at, 0, 0);
@@ -163,6 +165,42 @@ void SegmentFinder::three(const Layers& layers, const Point& a, const Point& b, 
   if (!alone_) return;
   for (std::size_t first = 0; first < 2; ++first)
     for (std::size_t second = first + 1; second < 3; ++second) lines_of_two(circle, first, second);
+}
+
+// Whether three clusters may have heights on a line, by bounds without trigonometric functions. Most
+// combinations of clusters with few heights fail. An arc of the chord c is longer by asin(u)/u, u = |w| c/2,
+// a power series in u^2 of positive coefficients: at least 1 and at most 1 + (pi/2 - 1) u^2.
+bool SegmentFinder::may_hold_line(const Layers& layers, const Point& a, const Point& b, const Point& c,
+                                  const EventHits& hits) {
+  constexpr double rounding = 1e-9;
+  constexpr std::size_t few_lines = 4;
+  const double abx = b.x - a.x, aby = b.y - a.y, acx = c.x - a.x, acy = c.y - a.y;
+  const double ab2 = abx * abx + aby * aby, ac2 = acx * acx + acy * acy,
+               bc2 = square(c.x - b.x) + square(c.y - b.y);
+  const double w2 = 4 * square(abx * acy - aby * acx) / (ab2 * ac2 * bc2);
+  if (w2 > (1 + rounding) * square(slowed * largest_w_)) return false;
+  const Range low_range = heights(hits, layers[0], a), middle_range = heights(hits, layers[1], b),
+              high_range = heights(hits, layers[2], c);
+  heights_ = {of(low_range), of(middle_range), of(high_range)};
+  const auto& [low_of, middle_of, high_of] = heights_;
+  if (low_of.size() * middle_of.size() * high_of.size() > few_lines) return true;
+  const auto longest = [&](double chord2) {
+    return 1 + (0.5 * pi - 1) * std::min(0.25 * w2 * chord2, 1.0) + rounding;
+  };
+  const double ab = std::sqrt(ab2), ac = std::sqrt(ac2), arc_b = ab * longest(ab2), arc_c = ac * longest(ac2);
+  const double least = ab / arc_c, most = ab <= ac ? ab / ac + rounding : arc_b / ac;
+  const double kappa = (1 + rounding) * std::sqrt(w2) / std::abs(curvature(detector_.bz, 1.0));
+  const double arc = std::max(arc_c - ab, arc_b - ac);
+  for (const Height& low : low_of)
+    for (const Height& high : high_of) {
+      const double rise = high.z - low.z, tanl = (1 + rounding) * std::abs(rise) / ac;
+      for (const Height& middle : middle_of) {
+        const double one = middle.z - low.z - least * rise, other = middle.z - low.z - most * rise;
+        const double off = one * other <= 0 ? 0 : std::min(std::abs(one), std::abs(other));
+        if (!score_.is_hopeless(kappa, arc, tanl, off)) return true;
+      }
+    }
+  return false;
 }
 
 void SegmentFinder::lines_of_three(const Circle& circle) {

@@ -68,6 +68,8 @@ class SegmentFinder {
   }
   bool three_of(const Layers& layers, const EventHits& hits);
   void three(const Layers& layers, const Point& a, const Point& b, const Point& c, const EventHits& hits);
+  bool may_hold_line(const Layers& layers, const Point& a, const Point& b, const Point& c,
+                     const EventHits& hits);
   void lines_of_three(const Circle& circle);
   // Through heights in two layers, without one in the third.
   void lines_of_two(const Circle& circle, std::size_t first, std::size_t second);
