@@ -393,16 +393,20 @@ void Follower::take(Branch& branch, std::int32_t number, double residual, double
   branch.chain = static_cast<std::int32_t>(links_.size()) - 1;
 }
 
-// Leaves the best branches, in their order; of equal ones the first.
+// Leaves the best branches, the best one first; of equal ones the first. Beside them stays the one that has
+// no hit yet: a particle that comes from farther out meets hits of others before its own.
 void Follower::keep_best() {
   const auto most = static_cast<std::size_t>(settings_.branches);
   if (branches_.size() <= most) return;
   const auto score = [this](std::int32_t i) { return branches_[static_cast<std::size_t>(i)].score; };
+  std::int32_t waits = -1;
   order_.clear();
   for (std::int32_t i = 0; i < static_cast<std::int32_t>(branches_.size()); ++i) {
+    if (branches_[static_cast<std::size_t>(i)].hits == 0) waits = i;
     order_.insert(std::ranges::upper_bound(order_, score(i), std::greater<>(), score), i);
     if (order_.size() > most) order_.pop_back();
   }
+  if (waits >= 0 && std::ranges::find(order_, waits) == order_.end()) order_.push_back(waits);
   next_.clear();
   for (const std::int32_t i : order_) next_.push_back(branches_[static_cast<std::size_t>(i)]);
   branches_.swap(next_);
