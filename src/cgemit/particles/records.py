@@ -40,9 +40,20 @@ _PACKED: Mapping[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open,
 # Of momentum and length, as in a line "U GEV MM".
 _UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"MM", b"CM")}
 
-# pyhepmc reads numbers as C does: of "0,5" and "x" it takes what can be read, 0; of large whole numbers the last bits.
+# pyhepmc reads lines as C does: of "0,5" and "x" it takes what can be read, 0; of large whole numbers the last bits; a
+# second space is an empty value; positions without @ are none.
 _NUMBER = rb"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[nN][aA][nN]|[iI][nN][fF](?:inity)?)"
-_NUMBERS = re.compile(rb"\s*(?:%b(?:\s+|$))*" % _NUMBER)
+_POSITION = rb"(?: @(?: %b){4})?\s*" % _NUMBER
+#: (HepMC3, HepMC2). Groups of particles: origin (HepMC3), PDG number; of vertices: number, particles (HepMC3).
+_PARTICLES = (
+    re.compile(rb"P \d+ (-?\d+) (-?\d+)(?: %b){5} -?\d+\s*" % _NUMBER),
+    re.compile(rb"P -?\d+()( -?\d+)(?: %b){5} -?\d+(?: %b)*\s*" % (_NUMBER, _NUMBER)),
+)
+_VERTICES = (
+    re.compile(rb"V (-?\d+) -?\d+ \[((?:\d+(?:,\d+)*)?)\]%b" % _POSITION),
+    re.compile(rb"V (-?\d+)()(?: %b)*\s*" % _NUMBER),
+)
+_EVENTS = (re.compile(rb"E -?\d+ \d+ \d+%b" % _POSITION), re.compile(rb"E(?: %b)*\s*" % _NUMBER))
 _LARGEST_PDG = 2**31 - 1
 
 # A line of HepMC has some 200 bytes. A packed file may be much larger than it looks: only unpacked ones have any size.
@@ -245,7 +256,9 @@ def _events_of(path: Path) -> tuple[array[int], array[int]]:
                 if len(line) == _LONGEST_LINE:
                     _refuse(path, line_number, f"a line of more than {_LONGEST_LINE} bytes")
                 key = line[:2]
-                if key == b"P ":
+                if line[-1:] != b"\n" and not line.startswith(b"HepMC::"):  # the last one, cut
+                    ended = ended and not line.strip()
+                elif key == b"P ":
                     event.particle(line_number, line)
                 elif key == b"V ":
                     event.vertex(line_number, line)
@@ -257,6 +270,8 @@ def _events_of(path: Path) -> tuple[array[int], array[int]]:
                     event.begin(line_number, line)
                 elif key == b"U ":
                     event.units(line_number, line)
+                elif line[:1] in (b"E", b"P", b"V", b"U") and key[1:].isspace() and line.strip():
+                    _refuse(path, line_number, f"{line.decode('ascii', 'replace').strip()!r:.60}", "single spaces")
                 elif line.startswith(b"HepMC::"):
                     marked = marked or b"START_EVENT_LISTING" in line
                     event.is_old = event.is_old or b"IO_GenEvent-START" in line
@@ -283,7 +298,7 @@ class _Event:
         self.expected: list[int] = []  # particles; in HepMC2 also vertices
         self.has_units = True
         self.vertex_numbers: set[bytes] = set()  # HepMC3: those that the event has
-        self.origins: dict[bytes, int] = {}  # HepMC3: those that particles name, and the line of the first one
+        self.origins: dict[bytes, int] = {}  # HepMC3: vertices and particles that lines name, and the first such line
 
     def begin(self, line_number: int, line: bytes) -> None:
         words = line.split()
@@ -291,24 +306,23 @@ class _Event:
         self.vertex_numbers, self.origins = set(), {}
         # E event vertices particles, or E event interactions scale alpha alpha process signal vertices ...
         counts = self._whole(line_number, words, (8,) if self.is_old else (3,))
+        self._matched(_EVENTS, line_number, line)
         self.expected = [0, *counts] if self.is_old else counts
 
     def particle(self, line_number: int, line: bytes) -> None:
-        """Refuse numbers that are none; in HepMC3 note the vertex."""
         self.particles += 1
-        self._numbers(line_number, line, line[2:])
-        words = line.split(None, 4)
-        # P number pdg ..., or P number origin pdg ..., where origins below 0 are vertices
-        pdg = words[3 - self.is_old] if len(words) == 5 else b""
-        if not pdg.lstrip(b"-").isdigit() or abs(int(pdg)) > _LARGEST_PDG:
-            self._refuse(line_number, line, f"a PDG number up to {_LARGEST_PDG} in column {4 - self.is_old}")
-        if not self.is_old and words[2].startswith(b"-"):
-            self.origins.setdefault(words[2], line_number)
+        origin, pdg = self._matched(_PARTICLES, line_number, line).groups()
+        if abs(int(pdg)) > _LARGEST_PDG:
+            self._refuse(line_number, line, f"a PDG number up to {_LARGEST_PDG}")
+        if not self.is_old and origin != b"0":
+            self.origins.setdefault(origin, line_number)
 
     def vertex(self, line_number: int, line: bytes) -> None:
         self.vertices += 1
-        self._numbers(line_number, line, line[2:] if self.is_old else line.partition(b"@")[2])
-        self.vertex_numbers.update(line.split(None, 2)[1:2])
+        number, entering = self._matched(_VERTICES, line_number, line).groups()
+        self.vertex_numbers.add(number)
+        for one in filter(None, entering.split(b",")):
+            self.origins.setdefault(one, line_number)
         if self.is_old and self.first:
             # V number id x y z ct orphans outgoing weights: their particles follow before the next vertex.
             self._check(line_number, "particles", self.particles, self.expected[0])
@@ -328,18 +342,22 @@ class _Event:
         self._check(line_number, "particles", self.particles, self.expected[0])
         if self.is_old:
             self._check(line_number, "vertices", self.vertices, self.expected[1])
-        for number in self.origins.keys() - self.vertex_numbers:
-            text = number.decode("ascii", "replace")
-            _refuse(self.path, self.origins[number], f"a particle of the vertex {text:.20}", "a vertex of its event")
+        for origin in self.origins.keys() - self.vertex_numbers:
+            if not 0 < int(origin) <= self.particles:
+                got = f"a line that names {origin.decode()}"
+                _refuse(self.path, self.origins[origin], got, "vertices (below 0) and particles of its event")
 
     def _check(self, line_number: int, what: str, count: int, expected: int) -> None:
         if count != expected:
             event = f"{count} {what} of the event that begins in line {self.first}"
             _refuse(self.path, line_number, f"{event}, before this line", f"{expected}, as announced")
 
-    def _numbers(self, line_number: int, line: bytes, numbers: bytes) -> None:
-        if not _NUMBERS.fullmatch(numbers):
-            self._refuse(line_number, line, "numbers such as -1.5e-3")
+    def _matched(self, forms: tuple[re.Pattern[bytes], re.Pattern[bytes]], line_number: int, line: bytes) -> Any:
+        found = forms[self.is_old].fullmatch(line)
+        if found is None:
+            form = "V number status [particles] @ x y z ct, with " * (forms is _VERTICES and not self.is_old)
+            self._refuse(line_number, line, f"{form}numbers such as -1.5e-3 between single spaces")
+        return found
 
     def _refuse(self, line_number: int, line: bytes, expected: str) -> NoReturn:
         text = b" ".join(line.split()).decode("ascii", "replace")

@@ -359,18 +359,28 @@ def test_particles_that_pyhepmc_leaves_out_are_counted(tmp_path: Path) -> None:
         ("a.hepmc3", "0.5 0.25 0.5 0.9", "0,5 0.25 0.5 0.9", 7, "numbers such as"),
         ("a.hepmc3", "0.5 0.25 0.5 0.9", "x 0.25 0.5 0.9", 7, "numbers such as"),
         ("a.hepmc3", "0.5 0.25 0.5 0.9", "0.5D0 0.25 0.5 0.9", 7, "numbers such as"),
-        ("a.hepmc3", "@ 1 2 3 0", "@ 1 2,5 3 0", 6, "numbers such as"),
-        ("a.hepmc3", "3 -1 13", "3 -1 99999999999", 8, "a PDG number up to 2147483647 in column 4"),
-        ("a.hepmc3", "4 -2 211", "4 -7 211", 10, "a vertex of its event"),
+        ("a.hepmc3", "0.105 1", "0.105 1.5", 8, "numbers such as"),
+        ("a.hepmc3", "3 -1 13", "3 -1 99999999999", 8, "a PDG number up to 2147483647"),
+        ("a.hepmc3", "3 -1 13", "3  -1 13", 8, "numbers such as -1.5e-3 between single spaces"),
+        ("a.hepmc3", "4 -2 211", "4 -7 211", 10, "vertices .below 0. and particles of its event"),
+        ("a.hepmc3", "3 -1 13", "3 99 13", 8, "vertices .below 0. and particles of its event"),
+        ("a.hepmc3", "V -2 0 [2]", "V -2 0 [99]", 9, "vertices .below 0. and particles of its event"),
+        ("a.hepmc3", "@ 1 2 3 0", "@ 1 2,5 3 0", 6, "V number status .particles. @ x y z ct"),
+        ("a.hepmc3", "@ 4 5 6 0", "4 5 6 0", 9, "V number status .particles. @ x y z ct"),
+        ("a.hepmc3", "@ 4 5 6 0", "@ 4 5 6 0 9", 9, "V number status .particles. @ x y z ct"),
+        ("a.hepmc3", "E 0 2 5", "E 0 2 5 @ 1 2 x 0", 3, "numbers such as"),
+        ("a.hepmc3", "E 0 2 5", "E\t0 2 5", 3, "single spaces"),
         ("a.hepmc2", "0.5 0.25 0.5 0.9", "0,5 0.25 0.5 0.9", 8, "numbers such as"),
         ("a.hepmc2", "V -2 0 4 5", "V -2 0 4 five", 10, "numbers such as"),
-        ("a.hepmc2", "P 5 211", "P 5 99999999999", 11, "a PDG number up to 2147483647 in column 3"),
+        ("a.hepmc2", "P 5 211", "P 5 99999999999", 11, "a PDG number up to 2147483647"),
+        ("a.hepmc2", "P 5 211", "P  5 211", 11, "numbers such as -1.5e-3 between single spaces"),
+        ("a.hepmc2", "0.105 1 0", "0.105 1.5 0", 9, "numbers such as"),
     ],
 )
 def test_hepmc_numbers_that_would_be_misread_are_refused(
     name: str, old: str, new: str, line: int, expected: str, tmp_path: Path
 ) -> None:
-    """0 for a word or 0,5, the last bits of a large number, and the origin for a vertex that is not there."""
+    """0 for a word or 0,5, the last bits of a large number, the origin for a vertex that is not there."""
     text = OLD_HEPMC if name == "a.hepmc2" else NEW_HEPMC
     (tmp_path / name).write_text(text)
     assert len(particles_from(tmp_path / name)) == 3
