@@ -42,7 +42,7 @@ _UNITS = {(momentum, length) for momentum in (b"GEV", b"MEV") for length in (b"M
 
 # pyhepmc reads lines as C does: of "0,5" and "x" it takes what can be read, 0; of large whole numbers the last bits; a
 # second space is an empty value; positions without @ are none.
-_NUMBER = rb"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[nN][aA][nN]|[iI][nN][fF](?:inity)?)"
+_NUMBER = rb"[-+]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|[nN][aA][nN]|[iI][nN][fF](?:inity)?)"
 _POSITION = rb"(?: @(?: %b){4})?\s*" % _NUMBER
 #: (HepMC3, HepMC2). Groups of particles: origin (HepMC3), PDG number; of vertices: number, particles (HepMC3).
 _PARTICLES = (

@@ -6,6 +6,7 @@ import bz2
 import gzip
 import lzma
 import re
+import time
 import tracemalloc
 import warnings
 from pathlib import Path
@@ -388,6 +389,15 @@ def test_hepmc_numbers_that_would_be_misread_are_refused(
     (tmp_path / name).write_text(text.replace(old, new))
     with pytest.raises(ParticleError, match=rf"1 problem\n  line {line}: got .*, expected {expected}"):
         particles_from(tmp_path / name)
+
+
+def test_long_wrong_lines_of_hepmc_take_no_time(tmp_path: Path) -> None:
+    """The form of a line is not tried in many ways."""
+    (tmp_path / "a.hepmc2").write_text(OLD_HEPMC.replace("V -2 0", f"V -2{100 * ' 1234567890'} x 0"))
+    begin = time.perf_counter()
+    with pytest.raises(ParticleError, match="line 10: got 'V -2 1234567890"):
+        particles_from(tmp_path / "a.hepmc2")
+    assert time.perf_counter() - begin < 20
 
 
 @pytest.mark.parametrize(("value", "message"), [("nan", "not finite"), ("inf", "not finite"), ("1e300", "beyond")])
