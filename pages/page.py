@@ -104,7 +104,11 @@ class Page:
         file.write_text(text, encoding="utf-8")
         for name, draw in self.pictures.items():
             say(f"{self.name}: {name}")
-            figure = draw(found)
+            try:
+                figure = draw(found)
+            except MissingToolError as error:
+                say(f"{self.name}: {name} is not renewed: {error}")
+                continue
             if isinstance(figure, Picture):
                 figure.save(images / name, overwrite=True)
             else:
