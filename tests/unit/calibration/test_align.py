@@ -126,9 +126,10 @@ def test_lorentz_shift_is_a_rotation_of_its_layer(run: cg.Result) -> None:
     assert fixed.zero_modes == ()
 
 
-def test_a_lorentz_shift_is_found() -> None:
-    real = NOMINAL.with_readout("binary").with_overrides({"cgem.L2.lorentz_shift": "200 um"})
-    nominal = NOMINAL.with_readout("binary")
+@pytest.mark.parametrize("readout", ["binary", "gaussian"])
+def test_a_lorentz_shift_is_found(readout: str) -> None:
+    real = NOMINAL.with_readout(readout).with_overrides({"cgem.L2.lorentz_shift": "200 um"})
+    nominal = NOMINAL.with_readout(readout)
     run = cg.run(real, MUONS, n=300, fit_detector=nominal, seed=8)
     settings = cg.AlignmentSettings(free=("cgem.*.shift_x",), calibrate=("lorentz",))
     found = cg.align(run, settings)

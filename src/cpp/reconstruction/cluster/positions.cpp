@@ -25,11 +25,11 @@ ClusterRow make_cluster(const MeasuringLayer& layer, const DigiView& digis, std:
   cluster.n_truths = digis.n_truths[row];
   cluster.method = ClusterMethod::positions;
   if (cluster.view == ClusterView::x) {
-    cluster.x = digis.position[row];
+    cluster.x = digis.position[row] - layer.lorentz_shift;
     cluster.err_x = errors.sigma_x;
     set_azimuth(layer, cluster);
   } else {
-    cluster.v = digis.position[row];
+    cluster.v = digis.position[row] - layer.lorentz_shift * layer.cos_stereo;
     cluster.err_v = errors.sigma_v;
   }
   return cluster;

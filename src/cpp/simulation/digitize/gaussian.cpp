@@ -51,12 +51,15 @@ std::optional<Pair> smear(const Detector& detector, const TruthColumns& truths, 
     Pair pair{common, common};
     const auto [sigma_x, sigma_v] =
         inclined(layer, errors, sheet, truths.entry_point(row), truths.exit_point(row));
-    pair.x.position = errors.sigma_x > 0 ? x + sigma_x * normal_quantile(open_unit(words[0]))
-                                         : x_of_strips(layer, std::floor(strips_of_x(layer, x)) + 0.5);
+    const double shift_x = layer.lorentz_shift, shift_v = shift_x * layer.cos_stereo;
+    pair.x.position = errors.sigma_x > 0
+                          ? x + shift_x + sigma_x * normal_quantile(open_unit(words[0]))
+                          : x_of_strips(layer, std::floor(strips_of_x(layer, x + shift_x)) + 0.5);
     pair.v.view = 1;
     const double v = local_v(layer, x, truths.z[row]);
-    pair.v.position = errors.sigma_v > 0 ? v + sigma_v * normal_quantile(open_unit(words[1]))
-                                         : v_of_strips(layer, std::floor(strips_of_v(layer, v)) + 0.5);
+    pair.v.position = errors.sigma_v > 0
+                          ? v + shift_v + sigma_v * normal_quantile(open_unit(words[1]))
+                          : v_of_strips(layer, std::floor(strips_of_v(layer, v + shift_v)) + 0.5);
     return pair;
   }
   return std::nullopt;
