@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -41,9 +42,7 @@ def test_page_is_what_its_numbers_say(page: Page) -> None:
 
 def images_of(file: str) -> str:
     """Return where the pictures are, seen from a page."""
-    return {"README.md": "docs/images/", "docs": "images/", "docs/methods": "../images/"}[
-        file if file == "README.md" else str(Path(file).parent)
-    ]
+    return f"{os.path.relpath(ROOT / 'docs' / 'images', (ROOT / file).parent)}/"
 
 
 def test_nothing_is_between_markers_that_no_page_writes() -> None:
