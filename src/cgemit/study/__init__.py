@@ -27,6 +27,7 @@ from cgemit.analysis.resolutions import (
     resolution_against,
     resolutions,
 )
+from cgemit.analysis.vertices import PairMasses, pair_masses
 from cgemit.analysis.widths import Fraction, GaussianFit, Resolution, gaussian_fit, measure
 from cgemit.detector.inventory import Background
 from cgemit.study.monitor import RunMonitor, monitor
@@ -60,6 +61,7 @@ __all__ = [
     "LayerEfficiencies",
     "LoopLinks",
     "Optimization",
+    "PairMasses",
     "PlanError",
     "Pulls",
     "Reproduction",
@@ -88,6 +90,7 @@ __all__ = [
     "measure",
     "monitor",
     "optimize",
+    "pair_masses",
     "pulls",
     "reproduce",
     "resolution",
