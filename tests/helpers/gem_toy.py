@@ -40,6 +40,7 @@ def design_layers(drift_gap=5.0):
         "ladder_gap": np.zeros(3),
         "ladder_first": np.zeros(3),
         "lorentz_shift": np.zeros(3),
+        "z_scale": np.zeros(3),
         "slope": np.zeros(3),
         "has_x": np.ones(3, bool),
         "has_v": np.ones(3, bool),

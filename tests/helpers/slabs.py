@@ -116,7 +116,7 @@ def slab_detector(parts, bz=0.0, gap_radius=None, half_length=1e4, screening="we
     layer = {"r_gap_in": -2.5, "r_gap_out": 2.5, "r_readout": 9.0, "z_min": -half_length, "z_max": half_length,
              "pitch_x": 0.65, "pitch_v": 0.65, "stereo": 0.8, "offset_v": 0.0, "dead_seam": 0.0, "dead_ends": 0.0,
              "ladder_gap": 0.0, "ladder_first": 0.0,
-             "lorentz_shift": 0.0, "slope": 0.0}  # fmt: skip
+             "lorentz_shift": 0.0, "z_scale": 0.0, "slope": 0.0}  # fmt: skip
     cgem = {k: np.full(n_gaps, v + (gap_radius or 0) * k.startswith("r_")) for k, v in layer.items()}
     cgem |= {
         k: np.full(n_gaps, v, np.int32)

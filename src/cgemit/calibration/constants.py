@@ -22,7 +22,7 @@ from cgemit.detector.readouts import AnalogReadout
 from cgemit.units import QuantityError, parse_quantity
 
 #: Constants of a CGEM layer and of the field, which are asked for by their own names.
-LORENTZ, FIELD = "lorentz_shift", "field.scale"
+LORENTZ, Z_SCALE, FIELD = "lorentz_shift", "z_scale", "field.scale"
 #: mm, of the tables in which the core looks up what a constant does to a drift distance.
 _DRIFT_STEP = 0.05
 
@@ -77,6 +77,7 @@ def _constants(detector: Detector, plates: Sequence[int]) -> Iterator[Constant]:
             for key, i in (("shift_z", 2), ("rotation", 5)):
                 name = f"{layer.path}.sheets.{sheet}.{key}"
                 yield Constant(name, _unit(key), (("sheets", (i_layer, sheet, i)),))
+        yield Constant(f"{layer.path}.{Z_SCALE}", "", (("z_scale", (i_layer,)),))
         # With an analog readout electrons drift in the simulation; their shift is no constant of the description.
         if not isinstance(layer.readout, AnalogReadout):
             yield Constant(f"{layer.path}.{LORENTZ}", "mm", (("lorentz", (i_layer,)),))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.arrays import Floats
-from cgemit.calibration.constants import LORENTZ, Constant
+from cgemit.calibration.constants import LORENTZ, Z_SCALE, Constant
 from cgemit.calibration.sums import Sums
 from cgemit.detector import Detector
 from cgemit.detector.alignment import PATTERNS, AlignmentTable, pattern_values, points_of_relation, value_of
@@ -60,6 +60,8 @@ def known_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, 
                 values = dict.fromkeys(way, 1.0) | {f"{path}.{LORENTZ}": layer.r_readout}
                 values |= {f"{path}.tilt_x": layer.tilt_y, f"{path}.tilt_y": -layer.tilt_x}
                 vectors.setdefault(f"Lorentz shift and rotation of {layer.label}", _vector(names, values))
+    # Lengths along the beam are those of the tracks where nothing else measures z.
+    vectors["common z_scale"] = _vector(names, {f"{layer.path}.{Z_SCALE}": 1.0 for layer in detector.cgem})
     parts = [*wholes, *dict.fromkeys(one.part for one in constants if one.part not in wholes)]
     for path in parts:
         for key in (*PLACEMENT, *END_SHIFT):
@@ -308,7 +310,7 @@ def _reach(detector: Detector, constant: Constant) -> float:
     for wires in detector.wires:
         if constant.part == wires.path:
             r, half = wires.r_end, wires.half_length
-    return half if constant.key.startswith("tilt") else r
+    return half if constant.key.startswith("tilt") or constant.key == Z_SCALE else r
 
 
 def _patterns(detector: Detector, names: Sequence[str]) -> dict[str, Floats]:

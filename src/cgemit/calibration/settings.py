@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import NotNegative, Positive, Whole
-from cgemit.calibration.constants import FIELD, LORENTZ, Constant, chosen, constants_of, priors_of
+from cgemit.calibration.constants import FIELD, LORENTZ, Z_SCALE, Constant, chosen, constants_of, priors_of
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import Pull
 
@@ -32,6 +32,7 @@ class AlignmentSettings(SettingsData):
     calibrate : tuple of str
         Constants that are no displacement: ``"lorentz"``, shift of the clusters of each CGEM layer without an analog
         readout, which is known only if the layer's rotation is; ``"t0"``, zero of the drift times of each wire layer;
+        ``"z_scale"``, length along the beam of the strip pattern of each CGEM layer, relative;
         ``"relation"``, times of the relation of drift distance and time of all wire layers at each mm; ``"field"``, ln
         of its scale, which tracks without a known mass or momentum do not tell.
     plates : tuple of int
@@ -78,7 +79,7 @@ class AlignmentSettings(SettingsData):
 
     free: tuple[str, ...] = ("cgem.*",)
     fixed: tuple[str, ...] = ()
-    calibrate: tuple[Literal["lorentz", "field", "t0", "relation"], ...] = ()
+    calibrate: tuple[Literal["lorentz", "z_scale", "field", "t0", "relation"], ...] = ()
     plates: tuple[Count, ...] = ()
     priors: tuple[str, ...] = ()
     zero_modes: Literal["undetermined", "constrained"] = "undetermined"
@@ -117,7 +118,7 @@ def plan_of(
         problems.note("plates", f"{sum(settings.plates)} wire layers", f"the {wires} of the detector")
     free = chosen(every, settings.free, "free", problems)
     keys = {
-        "lorentz": f"cgem.*.{LORENTZ}", "t0": "drift_chamber.layers.*.t0",
+        "lorentz": f"cgem.*.{LORENTZ}", "z_scale": f"cgem.*.{Z_SCALE}", "t0": "drift_chamber.layers.*.t0",
         "relation": "drift_chamber.drift_relation.*", "field": FIELD,
     }  # fmt: skip
     free |= chosen(every, [keys[name] for name in settings.calibrate], "calibrate", problems)

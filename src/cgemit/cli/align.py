@@ -39,7 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--fix", action="append", default=[], metavar="PATTERN", help="of those, stay as they are")
     parser.add_argument(
-        "--calibrate", action="append", default=[], choices=("lorentz", "field", "t0", "relation"),
+        "--calibrate", action="append", default=[], choices=("lorentz", "z_scale", "field", "t0", "relation"),
         help="constants of no displacement; may repeat",
     )  # fmt: skip
     parser.add_argument(

@@ -441,6 +441,7 @@ def layer_table(layers: Sequence[Layer]) -> Columns:
     for view in "XV":
         columns[f"has_{view.lower()}"] = np.array([view in layer.views for layer in layers], dtype=np.bool_)
     columns["lorentz_shift"] = np.array([layer.lorentz_shift or 0.0 for layer in layers], dtype=np.float64)
+    columns["z_scale"] = np.array([layer.z_scale for layer in layers], dtype=np.float64)
     columns["slope"] = np.array([layer.error_slope for layer in layers], dtype=np.float64)
     for name in ("sheets", "strips_x", "strips_v"):
         columns[name] = np.array([getattr(layer, name) for layer in layers], dtype=np.int32)

@@ -363,7 +363,7 @@ def strip_line(layer: Layer, sheet: int, view: int, strip: int, n: int = 121) ->
     x = np.linspace(0.0, 2 * np.pi * layer.r_readout / layer.sheets, n)
     v = v_of_strips(layer, strip + 0.5)
     # The ends of the strip, where it leaves the sheet along the beam.
-    ends = (v - (layer.z_ref - np.array(layer.ends)) * np.sin(layer.stereo)) / np.cos(layer.stereo)
+    ends = (v - (layer.z_ref - np.array(layer.ends)) * layer.sin_stereo) / np.cos(layer.stereo)
     x = np.clip(np.unique(np.concatenate([x, ends])), max(0.0, ends.min()), min(x[-1], ends.max()))
     return start + x / layer.r_readout, crossing_z(layer, x, v)
 

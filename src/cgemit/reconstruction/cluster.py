@@ -190,7 +190,7 @@ def in_layers(detector: Detector, clusters: Table) -> Table:
     for number, layer in enumerate(layers):
         mine = clusters["layer"] == number
         shift[mine] = np.array(layer.sheet_z)[clusters["sheet"][mine]]
-    sine = np.sin([layer.stereo for layer in layers])[clusters["layer"]]
+    sine = np.array([layer.sin_stereo for layer in layers])[clusters["layer"]]
     # Columns of a view that is not measured are no numbers, and stay so.
     return clusters.with_columns(v=clusters["v"] - shift * sine, z=clusters["z"] + shift)
 
@@ -201,7 +201,7 @@ def read_by(detector: Detector, described: Detector, clusters: Table) -> Table:
     Parameters
     ----------
     detector : Detector
-        With other Lorentz shifts, and other places of the sheets in their layers.
+        With other Lorentz shifts, scales along the beam, and positions of the sheets in their layers.
     described : Detector
         That made the clusters.
     clusters : Table
@@ -210,16 +210,16 @@ def read_by(detector: Detector, described: Detector, clusters: Table) -> Table:
     changed = False
     for layer_number, (old, new) in enumerate(zip(described.layers, detector.layers, strict=True)):
         shift = (new.lorentz_shift or 0.0) - (old.lorentz_shift or 0.0)
-        if not shift and (old.sheet_z, old.sheet_phi) == (new.sheet_z, new.sheet_phi):
+        same = (old.sheet_z, old.sheet_phi, old.z_scale) == (new.sheet_z, new.sheet_phi, new.z_scale)
+        if not shift and same:
             continue
         changed = True
         rows = np.flatnonzero(clusters["layer"] == layer_number)
         sheet = clusters["sheet"][rows]
-        moved, turned = (
-            np.subtract(b, a)[sheet] for a, b in ((old.sheet_z, new.sheet_z), (old.sheet_phi, new.sheet_phi))
-        )
+        turned = np.subtract(new.sheet_phi, old.sheet_phi)[sheet]
+        before, after = (np.array(one.sheet_z)[sheet] for one in (old, new))
         x[rows] -= shift
-        v[rows] -= shift * np.cos(new.stereo) + moved * np.sin(new.stereo)
-        z[rows] += moved
+        v[rows] -= shift * np.cos(new.stereo) + after * new.sin_stereo - before * old.sin_stereo
+        z[rows] = (z[rows] - before) * ((1 + new.z_scale) / (1 + old.z_scale)) + after
         phi[rows] = wrap_angle(phi[rows] - shift / new.r_readout + turned)
     return clusters.with_columns(x=x, v=v, phi=phi, z=z) if changed else clusters

@@ -505,8 +505,8 @@ def with_factors(detector: Detector, clusters: Table, factors: ErrorFactors) -> 
     joined = view == XV_CLUSTER
     err_x[joined], err_v[joined] = err_x[clusters["x_cluster"][joined]], err_v[clusters["v_cluster"][joined]]
     radius = np.array([one.r_readout for one in detector.layers])[layer]
-    stereo = np.array([one.stereo for one in detector.layers])[layer]
-    err_z = np.hypot(err_v, np.cos(stereo) * err_x) / np.abs(np.sin(stereo))
+    cosine, sine = np.array([(math.cos(one.stereo), one.sin_stereo) for one in detector.layers]).T[:, layer]
+    err_z = np.hypot(err_v, cosine * err_x) / np.abs(sine)
     columns = {"err_x": err_x, "err_v": err_v}
     columns["err_phi"] = np.where(np.isfinite(clusters["err_phi"]), err_x / radius, clusters["err_phi"])
     columns["err_z"] = np.where(np.isfinite(clusters["err_z"]), err_z, clusters["err_z"])

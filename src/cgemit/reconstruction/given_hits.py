@@ -499,7 +499,7 @@ def _fill_layer(layer: Any, columns: Columns, of_strips: tuple[Column, Column] |
 
 def _fill_points(layer: Any, columns: Columns, start: Column, point: Column) -> None:
     """Fill in X and V of points from phi and z with their covariance, or phi and z from X and V."""
-    r, cosine, sine = layer.r_readout, np.cos(layer.stereo), np.sin(layer.stereo)
+    r, cosine, sine = layer.r_readout, np.cos(layer.stereo), layer.sin_stereo
     by_phi = point & np.isnan(columns["x"])
     x = r * np.remainder(columns["phi"] - start, 2 * np.pi)
     columns["x"] = np.where(by_phi, x, columns["x"])

@@ -244,7 +244,7 @@ def crossings_of(detector: Detector, tracks: Table, number: int) -> Crossings:
     dz = step * along[:, 2] / np.hypot(along[:, 0], along[:, 1])
     zero, one = np.zeros(len(x)), np.ones(len(x))
     slope = np.stack([np.stack([dx, zero], 1), np.stack([dz, one], 1)], axis=1)  # of X and z in dr and dz
-    turn = np.array([[1.0, 0.0], [np.cos(layer.stereo), -np.sin(layer.stereo)]])  # of X and V in X and z
+    turn = np.array([[1.0, 0.0], [np.cos(layer.stereo), -layer.sin_stereo]])  # of X and V in X and z
     slope = turn @ slope
     cov = slope @ states["cov"][:, [[0, 0], [3, 3]], [[0, 3], [0, 3]]] @ np.swapaxes(slope, 1, 2)
     return Crossings(states, sheet, phi, z, x, v, cov)

@@ -135,6 +135,7 @@ void check(Problems& problems, double bz, const std::vector<Slab>& slabs,
     part.within("dead_seam", layers[i].dead_seam, 0, far);
     part.within("dead_ends", layers[i].dead_ends, 0, far);
     part.within("lorentz_shift", layers[i].lorentz_shift, -far, far);
+    part.within("z_scale", layers[i].z_scale, -0.5, 0.5);
     part.within("slope", layers[i].slope, 0, far);
     part.within("sheets", layers[i].sheets, 1, most_sheets);
     part.within("ladders", layers[i].ladders, 0, most_strips);

@@ -140,7 +140,7 @@ Detector make_detector(FieldMap field, std::vector<Slab> slabs, std::vector<Meas
   }
   for (MeasuringLayer& layer : detector.layers) {
     layer.cos_stereo = std::cos(layer.stereo);
-    layer.sin_stereo = std::sin(layer.stereo);
+    layer.sin_stereo = std::sin(layer.stereo) / (1 + layer.z_scale);
   }
   for (std::size_t i = 0; i < detector.slabs.size(); ++i) {
     detector.surfaces.push_back({detector.slabs[i].radius, true, static_cast<int>(i)});

@@ -178,11 +178,12 @@ struct MeasuringLayer {
   int strips_v;                               // per sheet
   std::array<double, most_sheets> phi_first;  // rad, edge of each sheet (X = 0); others are not read
   int gid_first;                  // running number of the layer's first strip: sheet by sheet, X then V
-  double cos_stereo, sin_stereo;  // derived, of the stereo angle
+  double cos_stereo, sin_stereo;  // derived: -dV/dz is the sine of the stereo angle over 1 + z_scale
   Placement placement = {};
   double dead_seam = 0;             // mm, width about each edge of a sheet where nothing is measured
   double dead_ends = 0;             // mm, length at each end of the layer where nothing is measured
   double lorentz_shift = 0;         // mm of X, from mid-gap to the anode, in readouts without drift
+  double z_scale = 0;               // lengths along the beam of the strip pattern are longer by this
   bool has_x = true, has_v = true;  // views that are measured
   double slope = 0;                 // growth of errors with the projected path, added in quadrature
   // Of a layer of one sheet: ladders around the beam, the gap between two, and X of the middle of a gap, mm.
@@ -199,9 +200,10 @@ struct MeasuringLayer {
         Column("strips_v", &MeasuringLayer::strips_v), Column("phi_first", &MeasuringLayer::phi_first),
         Column("gid_first", &MeasuringLayer::gid_first), Column("placement_", &MeasuringLayer::placement),
         Column("dead_seam", &MeasuringLayer::dead_seam), Column("dead_ends", &MeasuringLayer::dead_ends),
-        Column("lorentz_shift", &MeasuringLayer::lorentz_shift), Column("has_x", &MeasuringLayer::has_x),
-        Column("has_v", &MeasuringLayer::has_v), Column("slope", &MeasuringLayer::slope),
-        Column("ladders", &MeasuringLayer::ladders), Column("ladder_gap", &MeasuringLayer::ladder_gap),
+        Column("lorentz_shift", &MeasuringLayer::lorentz_shift), Column("z_scale", &MeasuringLayer::z_scale),
+        Column("has_x", &MeasuringLayer::has_x), Column("has_v", &MeasuringLayer::has_v),
+        Column("slope", &MeasuringLayer::slope), Column("ladders", &MeasuringLayer::ladders),
+        Column("ladder_gap", &MeasuringLayer::ladder_gap),
         Column("ladder_first", &MeasuringLayer::ladder_first));
   }
 
@@ -216,7 +218,7 @@ struct MeasuringLayer {
   bool has(bool x) const { return x ? has_x : has_v; }
   double r_mid() const { return 0.5 * (r_gap_in + r_gap_out); }
   double sheet_width() const { return strips_x * pitch_x; }  // mm, in X
-  double z_ref() const { return stereo > 0 ? ends.high : ends.low; }
+  double z_ref() const { return (stereo > 0 ? ends.high : ends.low) * (1 + z_scale); }
 };
 
 // A sense wire: its point at z = 0 and its unit direction (towards +z).

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import cgemit as cg
 from cgemit.calibration.constants import constants_of
 from cgemit.calibration.modes import known_modes
 from cgemit.detector.alignment import points_of_relation, value_of
 from cgemit.detector.drift import relation_of
+from cgemit.detector.layers.layer import crossing_z, local_v
+from cgemit.reconstruction.cluster import read_by
 
 NOMINAL = cg.load("besiii-cgem-design").with_readout("gaussian")
 PLATES = (2, 2, 2, 2, 2, 2, 23)
@@ -39,7 +42,7 @@ def test_every_constant_changes_the_description_by_its_value() -> None:
         assert after[0] - before[0] == pytest.approx(1e-3, rel=1e-9), one.name
         assert again[0] == pytest.approx(before[0], abs=1e-12), one.name
         assert after[2] == pytest.approx(before[2] - (0 if one.key.endswith("mm") or one.key == "scale" else 1e-3))
-    assert len(seen) == 37
+    assert len(seen) == 38
 
 
 def test_constants_move_what_their_names_say() -> None:
@@ -133,6 +136,37 @@ def test_times_of_wire_layers_and_their_relation_are_found() -> None:
     assert np.nanmax(np.abs(pulls)) < 4.5
     assert 0.6 < np.sqrt(np.nanmean(pulls**2)) < 1.5
     assert np.nanmax(np.abs(found.compare(NOMINAL))) > 5
+
+
+def test_lengths_of_strip_patterns_are_found() -> None:
+    """By value, with pulls and all correlations; V is counted along a pattern that is longer about z = 0."""
+    values = {"cgem.L1.z_scale": 8e-3, "cgem.L2.z_scale": -6e-3, "cgem.L3.z_scale": 5e-3}
+    real = NOMINAL.with_alignment(values)
+    for layer, plain in zip(real.cgem, NOMINAL.cgem, strict=True):
+        x, z, scale = np.array([3.0, 70.0]), np.array([-120.0, 95.0]), 1 + values[f"{layer.path}.z_scale"]
+        np.testing.assert_allclose(local_v(layer, x, z), local_v(plain, x, z / scale), rtol=1e-12)
+        np.testing.assert_allclose(crossing_z(layer, x, local_v(layer, x, z)), z, rtol=1e-12)
+    found = cg.align(moved(real, 400), cg.AlignmentSettings(free=("cgem.*.shift_z",), calibrate=("z_scale",)))
+    assert found.converged
+    assert found.zero_modes == ()
+    assert np.abs(found.compare(real)).max() < 4
+    # Stereo wires tell the common scale to 0.2 %, hits of three layers on a line one combination to 1e-4.
+    right, wrong = (found.compare(one) * found.solution.err for one in (real, NOMINAL))
+    size, size_wrong = (float(apart @ np.linalg.solve(found.cov, apart)) for apart in (right, wrong))
+    assert 1e-4 < chi2.sf(size, 6) < 1 - 1e-4
+    assert chi2.sf(size_wrong, 6) < 1e-9
+
+
+@pytest.mark.parametrize("readout", ["binary", "gaussian"])
+def test_clusters_are_read_with_another_length(readout: str) -> None:
+    """Positions along the beam are those of clusters that the other description makes of the same strips."""
+    described = NOMINAL.with_readout(readout).with_alignment({"cgem.L2.sheets.1.shift_z": 0.3, "cgem.L2.z_scale": 1e-3})
+    other = described.with_alignment({"cgem.L1.z_scale": -2e-3, "cgem.L2.z_scale": 2e-3, "cgem.L2.sheets.0.shift_z": 1})
+    made = cg.run(described, MUONS, n=40, seed=3, until="cluster")
+    again = cg.cluster(other, made.digis)
+    for name in ("x", "v", "phi", "z"):
+        np.testing.assert_allclose(read_by(other, described, made.clusters)[name], again[name], atol=1e-9)
+    assert np.nanmax(np.abs(again["z"] - made.clusters["z"])) > 0.1
 
 
 @pytest.fixture(scope="module")

@@ -60,6 +60,17 @@ def test_wire_layers_and_their_ends_have_their_derivatives() -> None:
     np.testing.assert_allclose(found, np.sum(a**2 / hits["sigma"][:, None] ** 2, axis=0), rtol=1e-5)
 
 
+def test_lengths_of_strip_patterns_have_their_derivatives() -> None:
+    """Of each CGEM layer against finite differences of the predictions."""
+    detector, core, helix, hits = smeared_track("besiii-cgem-design", "1 GeV/c")
+    constants = tuple(one for one in constants_of(detector) if one.key == "z_scale")
+    assert len(constants) == 3
+    found = summed(core, detector, helix, hits, constants)
+    a = derivatives(detector, helix, hits, constants)
+    np.testing.assert_allclose(found["measured"], np.sum(a**2 / hits["sigma"][:, None] ** 2, axis=0), rtol=1e-5)
+    assert (found["measured"] > 0).all()
+
+
 def test_wrong_derivatives_are_seen() -> None:
     """With the point about which the chamber turns off by 1 mm the sums differ."""
     detector, core, helix, hits = smeared_track("besiii-cgem-design", "1 GeV/c")

@@ -304,7 +304,7 @@ CHANGES: dict[str, object] = {
     "transfer_gap": "x1.01", "induction_gap": "x1.01", "foils": 2, "gas": "MdcGas", "cathode.Epoxy1.thickness": "x1.01",
     "foil.Kapton.thickness": "x1.01", "anode.Cu3.thickness": "x1.01", "foil.Cu1.material": "Cu", "stereo": "x0.9",
     "readout_offset": "0.1 mm", "sheets": 1, "phi_first": "x0.9", "offset_v": 1.5, "shift_x": "0.1 mm",
-    "lorentz_shift": "2 mm",
+    "lorentz_shift": "2 mm", "z_scale": 0.001,
 }  # fmt: skip
 OTHERS: dict[str, object] = {
     "materials.Kapton.density": "1.4 g/cm3", "drift_chamber.sigma": "x1.1", "drift_chamber.layers.20.r_end": "x1.001",

@@ -94,6 +94,10 @@ class CgemLayer(Layer):
     lorentz_shift: float | None = field(
         metadata=key("length", "shift in X of electrons from mid-gap to the anode", -50.0, 50.0), default=None
     )
+    z_scale: float = field(
+        metadata=key("dimensionless", "pattern of strips along the beam, longer by this", -0.02, 0.02, quiet=True),
+        default=0.0,
+    )
     # None: from gas and fields.
     lorentz_angle: float | None = field(
         metadata=key("angle", "angle of the electrons in the drift gap, without sign", 0.0, 1.4, quiet=True),

@@ -214,6 +214,7 @@ class Layer(Placed, Bounded, ABC):
     sheet_rotation: tuple[float, ...] = ()  # rad
     gain_map: tuple[tuple[tuple[float, ...], ...], ...] = ()
     lorentz_shift: float | None = None
+    z_scale: float = 0.0
 
     def __repr__(self) -> str:
         return f"<{self.name} {self.label}: {self.text()}>"
@@ -309,7 +310,12 @@ class Layer(Placed, Bounded, ABC):
     def z_ref(self) -> float:
         """The end from which V is counted, mm."""
         low, high = self.ends
-        return high if self.stereo > 0 else low
+        return (high if self.stereo > 0 else low) * (1 + self.z_scale)
+
+    @property
+    def sin_stereo(self) -> float:
+        """What V falls by with z: the sine of the stereo angle, less where the pattern of strips is longer."""
+        return math.sin(self.stereo) / (1 + self.z_scale)
 
     @property
     def sheet_phi(self) -> tuple[float, ...]:
@@ -446,9 +452,9 @@ def strip_text(sheet: int, first: int, last: int) -> str:
 
 def local_v(layer: Layer, x: Floats | float, z: Floats | float) -> Floats:
     """Return V, (n,) float64 mm, of points with X and z, (n,) float64 mm."""
-    return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * np.sin(layer.stereo))
+    return np.asarray(x * np.cos(layer.stereo) + (layer.z_ref - z) * layer.sin_stereo)
 
 
 def crossing_z(layer: Layer, x: Floats | float, v: Floats | float) -> Floats:
     """Return z, (n,) float64 mm, at which lines of constant V meet those of constant X, (n,) float64 mm."""
-    return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / np.sin(layer.stereo))
+    return np.asarray(layer.z_ref - (v - x * np.cos(layer.stereo)) / layer.sin_stereo)
