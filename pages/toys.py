@@ -197,4 +197,4 @@ def blocks(found: Found) -> dict[str, str]:
     return {"toys": table(head, lines), "modes": table(["detector", "zero modes", "weakest modes, error"], weak)}
 
 
-PAGE = Page("toys", "docs/methods/alignment.md", "2 h", {"pulls": (Pulls, measure), "modes": (Mode, modes)}, blocks)
+PAGE = Page("toys", "docs/methods/alignment.md", "10 min", {"pulls": (Pulls, measure), "modes": (Mode, modes)}, blocks)

@@ -96,13 +96,21 @@ def test_induced_errors_are_those_of_displaced_detectors(forecast: cg.AlignmentF
     assert abs(np.std(means) / float(expected) - 1) < 4 / np.sqrt(2 * len(means))
 
 
-def test_algebra_takes_milliseconds(forecast: cg.AlignmentForecast) -> None:
-    """54 constants, with the sums at hand."""
-    constants, _, _ = plan_of(NOMINAL, cg.AlignmentSettings())
-    sums = forecast.sums
-    begin = time.perf_counter()
-    solve(NOMINAL, constants, sums, {})
-    assert time.perf_counter() - begin < 0.5
+def test_algebra_takes_milliseconds() -> None:
+    """54 constants of layers and end plates, with the sums at hand: the quickest of five solutions within 50 ms."""
+    settings = cg.AlignmentSettings(
+        free=("cgem.*", "drift_chamber.plates.*"), plates=(2, 2, 2, 2, 2, 2, 23), fixed=("drift_chamber.plates.20-42",)
+    )
+    constants, _, _ = plan_of(NOMINAL, settings)
+    assert len(constants) == 54
+    sums = cg.alignment_forecast(NOMINAL, [(MUONS, 300)], settings).sums
+    times = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        found = solve(NOMINAL, constants, sums, {})
+        times.append(time.perf_counter() - begin)
+    assert set(found.status) == {"free"}
+    assert min(times) < 0.05
 
 
 @pytest.mark.parametrize(
