@@ -246,7 +246,7 @@ def run(
 def stages(job: Job, particles: Table) -> Iterator[tuple[str, Mapping[str, Table]]]:
     """Yield the tables that each stage makes of one table of particles; who takes them stops where he likes."""
     settings = job.settings
-    fit = replace(fit_settings(settings, job.source), components=True)  # for `quantile_p`
+    fit = fit_settings(settings, job.source, components=True)  # for `quantile_p`
     out: Tables = transport(job.detector, particles, settings.simulate, job.seed)
     yield "simulate", out
     particles, truths, wire_truths = out["particles"], out["truths"], out["wire_truths"]

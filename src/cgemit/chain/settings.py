@@ -69,7 +69,7 @@ class Settings(SettingsData):
     refine: RefineSettings = field(default_factory=RefineSettings)
 
 
-def fit_settings(settings: Settings, source: Source | Guns | None = None) -> FitSettings:
+def fit_settings(settings: Settings, source: Source | Guns | None = None, **changes: Any) -> FitSettings:
     """Return the settings of the fit; a screening of None becomes the simulated one, a momentum of None the gun's.
 
     Parameters
@@ -77,11 +77,14 @@ def fit_settings(settings: Settings, source: Source | Guns | None = None) -> Fit
     settings : Settings
     source : Source, Guns or None
         What shoots the particles.
+    changes
+        Other values of the settings.
     """
     fit = settings.fit
-    return replace(
-        fit, screening=fit.screening or settings.simulate.screening, momentum=fit.momentum or usual_momentum(source)
-    )
+    known = {
+        "screening": fit.screening or settings.simulate.screening, "momentum": fit.momentum or usual_momentum(source),
+    }  # fmt: skip
+    return replace(fit, **known | changes)
 
 
 def find_settings(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -282,7 +282,7 @@ def _states(part: Result) -> States:
     needed = ("tracks", "candidates", "candidate_hits", "clusters", "wire_hits")
     if any(part.tables.get(name) is None for name in needed) or not len(part.fitted):
         return {name: np.empty(0) for name in names}
-    settings = replace(fit_settings(part.settings, part.gun), states=("beam_line", "hits"), residuals=False, beam=None)
+    settings = fit_settings(part.settings, part.gun, states=("beam_line", "hits"), residuals=False, beam=None)
     states = fit(
         part.fit_detector or part.detector, *part.fitted_hits, part.candidates, part.candidate_hits,
         settings,

@@ -101,7 +101,9 @@ def turns(
     last = max((one.turns for one in refinements), default=1) - 1 + (find_again and bool(refinements))
     single = settings.hypothesis if len(settings.hypotheses()) == 1 else None
     states = _STATES if any(one.needs_states for one in refinements) else ()
-    early = replace(settings, residuals=True, states=states, hypothesis=single, components=False, beam=None)
+    early = settings
+    if last > 0:
+        early = replace(settings, residuals=True, states=states, hypothesis=single, components=False, beam=None)
     hits = measured
     for refinement in refinements:
         hits = refinement.guess(detector, hits)
