@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from cgemit.analysis.curves import Line, Spectrum, track_spectrum
 from cgemit.analysis.quantities import QUANTITIES, REPORTED
@@ -205,6 +206,8 @@ def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float]
     axes.autoscale_view(scaley=False)
     if len(np.unique(asked)) == 1:  # around a single point the labels of the ticks would overlap
         axes.set_xticks(asked[:1])
+    elif curves[0].x_unit == "GeV/c" and 0 < _DECADE * asked.min() <= asked.max():
+        _scale_momenta(axes, curves)
     drawn = np.isfinite(y)
     tops = [*(y + np.nan_to_num(error))[drawn], *([paper[1]] if paper else [])]
     axes.set_ylim(0, 1.08 * max(tops, default=1.0))
@@ -212,6 +215,29 @@ def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float]
         axes.set_yticks([])
         note = "no fitted track, or fewer than ten"
         axes.text(0.5, 0.5, note, transform=axes.transAxes, ha="center", color=COLORS["text"])
+
+
+def _scale_momenta(axes: Axes, curves: Sequence[Line]) -> None:
+    """Make the axis of momenta logarithmic, with ticks where tracks were simulated as far as their labels have room."""
+    points = [curve for curve in curves if curve.method != "analytic"] or curves
+    x = np.unique(np.concatenate([curve.x for curve in points]))
+    x = x[np.isfinite(x)]
+    if len(x) > _MOST_TICKS:
+        x = np.array([digit * 10.0**power for power in range(-3, 4) for digit in (1, 2, 5)])
+        x = x[(x >= min(curve.x.min() for curve in curves)) & (x <= max(curve.x.max() for curve in curves))]
+    room = _ROOM * math.log(x[-1] / x[0])
+    ticks = [x[-1]]
+    for tick in x[-2::-1]:
+        if math.log(ticks[-1] / tick) >= room:
+            ticks.append(tick)
+    axes.set_xscale("log")
+    axes.autoscale_view(scaley=False)
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.xaxis.set_minor_locator(NullLocator())
+
+
+#: Momenta that span this factor have a logarithmic axis; ticks at points, at most; share of the axis of a label.
+_DECADE, _MOST_TICKS, _ROOM = 10.0, 15, 0.08
 
 
 def draw_resolutions(

@@ -740,7 +740,7 @@ class AnalyticScan(ScanBase):
 
 
 def line_momenta(momenta: Sequence[float]) -> Floats:
-    """Return the momenta of a line: those given, in order, and 60 in equal steps between the least and the largest.
+    """Return the momenta of a line: those given, in order, and 60 in equal ratios from the least to the largest.
 
     Parameters
     ----------
@@ -750,7 +750,7 @@ def line_momenta(momenta: Sequence[float]) -> Floats:
     asked = np.unique(np.asarray(momenta, np.float64))
     if len(asked) == 1:
         return asked
-    steps = np.linspace(asked[0], asked[-1], LINE_POINTS)
+    steps = np.geomspace(asked[0], asked[-1], LINE_POINTS)
     distance = np.min(np.abs(steps[:, None] - asked), axis=1)
     more = steps[distance > 1e-9 * asked[-1]]  # rounding must not make two points of one
     return np.sort(np.concatenate([asked, more]))

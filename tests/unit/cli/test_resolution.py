@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.analysis.curves import Line
 from cgemit.analysis.quantities import REPORTED
 from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
@@ -46,9 +47,34 @@ def test_momenta_of_a_line():
     assert (found[0], found[-1]) == (0.3, 1.0)
     assert set(MOMENTA) <= set(found.tolist())
     assert np.all(np.diff(found) > 1e-6)
-    assert np.max(np.diff(found)) <= 0.7 / 59 * (1 + 1e-9)
+    assert np.max(found[1:] / found[:-1]) <= (1.0 / 0.3) ** (1 / 59) * (1 + 1e-9)
     assert line_momenta([0.7]).tolist() == [0.7]
     assert line_momenta([0.7, 0.7]).tolist() == [0.7]
+
+
+def test_momenta_over_a_decade_have_a_logarithmic_axis_with_ticks_at_the_points():
+    x = np.array([0.1, 0.105, 0.2, 0.5, 1.0])
+    simulated = Line("sigma_dr", DESIGN, x, "GeV/c", x, 0 * x, "um", "mc", "mu-")
+    (axes,) = draw_resolutions([("σ(d_ρ)", [simulated])], "p").axes
+    assert axes.get_xscale() == "log"
+    # 0.1 is too near to 0.105.
+    labels = {label.get_text(): tick for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)}
+    assert labels == {"0.105": 0.105, "0.2": 0.2, "0.5": 0.5, "1": 1.0}
+    (drawn,) = axes.containers
+    np.testing.assert_array_equal(drawn.lines[0].get_xdata(), x)
+    low, high = axes.get_xlim()
+    assert 0.05 < low < 0.1
+    assert 1.0 < high < 2.0
+    for changed in ({"x": 0.11 + x}, {"x_unit": ""}):  # less than a decade; no momenta
+        (axes,) = draw_resolutions([("σ(d_ρ)", [replace(simulated, **changed)])], "p").axes
+        assert axes.get_xscale() == "linear"
+
+
+def test_many_momenta_have_round_ticks():
+    x = np.geomspace(0.12, 3.0, 60)
+    line = Line("sigma_dr", DESIGN, x, "GeV/c", x, 0 * x, "um", method="analytic", particle="mu-")
+    (axes,) = draw_resolutions([("σ(d_ρ)", [line])], "p").axes
+    assert sorted(axes.get_xticks()) == [0.2, 0.5, 1.0, 2.0]
 
 
 def test_lines_are_those_of_analytic(line):
