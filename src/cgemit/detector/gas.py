@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import resources
@@ -629,15 +629,50 @@ def read_gas_file(path: str | Path) -> GasFile:
     'of 20 um/ns'
     """
     problems = Problems()
+    text = _gas_text(path, problems)
+    grids, plain, rows = _gas_rows(text, problems)
+    problems.report(str(path))
+    right = int(np.argmin(np.abs(grids["E-B angles"] - math.pi / 2)))
+    along, across, aside, long, wide = (rows[:, right, :, i] for i in ((0, 1, 2, 3, 4) if plain else (0, 2, 4, 6, 8)))
+    fastest = LIGHT * 100.0  # cm/us
+    _check_transport("velocity", along, fastest, grids, problems)
+    _check_transport("longitudinal diffusion", long, _WIDEST, grids, problems)
+    _check_transport("transverse diffusion", wide, _WIDEST, grids, problems)
+    problems.report(str(path))
+    # Electric fields are divided by the pressure in Torr, magnetic fields are in 0.01 T, velocities in cm/us. Widths in
+    # sqrt(cm) are multiplied by the root of the pressure.
+    native = math.sqrt(10 / text.torr)
+    name_of = re.search(r"Identifier\s*:\s*(.*)", text.head)
+    return GasFile(
+        gas=name_of[1].strip() if name_of else "",
+        e_field=grids["E fields"] * text.torr * 1e-3,
+        b_field=grids["B fields"] * 1e-2,
+        velocity=along * 1e-2,
+        tan_lorentz=np.hypot(across, aside) / np.where(along > 0, along, 1.0),
+        sigma_t=wide * native,
+        sigma_l=long * native,
+    )
+
+
+class _GasText(NamedTuple):
+    """Parts of a gas file: before the tables, and the tables; the line Dimension, and the pressure."""
+
+    head: str
+    tables: str
+    size: re.Match[str]
+    torr: float
+
+
+def _gas_text(path: str | Path, problems: Problems) -> _GasText:
+    """Return the parts of a gas file, or raise an error if one is missing."""
     try:
         text = read_text(Path(path), _LARGEST_GAS_FILE)
     except UnicodeDecodeError as error:
         refuse(str(path), f"line {1 + error.object.count(10, 0, error.start)}", "bytes that are no text", "UTF-8")
     head, marker, tail = text.partition(_TABLES)
-    body, *rest = _FOOTER.split(tail, maxsplit=1)
-    tail = "".join(rest)
+    tables, *rest = _FOOTER.split(tail, maxsplit=1)
     size = re.search(r"Dimension\s*:\s*([TF])((?:\s+\d+){5})", head)
-    pressure = re.search(rf"PGAS\s*[:=]\s*({_NUMBER.pattern})", tail)
+    pressure = re.search(rf"PGAS\s*[:=]\s*({_NUMBER.pattern})", "".join(rest))
     for name, text_there, expected in (
         (_TABLES, marker, "this line, as in gas files of Garfield"),
         ("Dimension", size, "T or F and five whole numbers"),
@@ -652,53 +687,41 @@ def read_gas_file(path: str | Path) -> GasFile:
         problems.note("PGAS", f"{torr:g} Torr", f"a pressure above 0 and below {_MOST_TORR:g} Torr")
     problems.report(str(path))
     assert size
-    fields, angles, magnetic, excited, ionized = map(int, size[2].split())
+    return _GasText(head, tables, size, torr)
+
+
+def _gas_rows(text: _GasText, problems: Problems) -> tuple[dict[str, Floats], bool, Floats]:
+    """Return fields and angles of a gas file, whether its rows have no splines, and the rows (E, angle, B, number)."""
+    fields, angles, magnetic, excited, ionized = map(int, text.size[2].split())
     grids = {}
     for name, count, after in (
         ("E fields", fields, "E-B angles"), ("E-B angles", angles, "B fields"), ("B fields", magnetic, "Mixture"),
     ):  # fmt: skip
-        grids[name] = _numbers_of(head.partition(name)[2].partition(after)[0])
+        grids[name] = _numbers_of(text.head.partition(name)[2].partition(after)[0])
         if len(grids[name]) != count or not count:
             problems.note(name, f"{len(grids[name])} numbers", f"{max(count, 1)}, as in the line Dimension")
         elif grids[name][0] < 0 or (np.diff(grids[name]) <= 0).any() or (name == "E fields" and not grids[name][0]):
             least = "above 0, and each above the one before" if name == "E fields" else "0 or more, in rising order"
             problems.note(name, ", ".join(f"{one:g}" for one in grids[name][:8]), f"numbers {least}")
-    plain = size[1] == "T"  # else each value has the coefficient of a spline behind it, except one
+    plain = text.size[1] == "T"  # else each value has the coefficient of a spline behind it, except one
     width = 17 + excited + ionized if plain else 33 + 2 * (excited + ionized)
-    numbers = _numbers_of(body)
-    if len(numbers) != fields * angles * magnetic * width:
+    numbers = _numbers_of(text.tables)
+    shape = fields, angles, magnetic, width
+    if len(numbers) != math.prod(shape):
         expected = f"{fields} x {angles} x {magnetic} rows of {width}, as in the line Dimension"
         problems.note("gas tables", f"{len(numbers)} numbers", expected)
-    problems.report(str(path))
-    right = int(np.argmin(np.abs(grids["E-B angles"] - math.pi / 2)))
-    rows = numbers.reshape(fields, angles, magnetic, width)[:, right]
-    along, across, aside, long, wide = (rows[..., i] for i in ((0, 1, 2, 3, 4) if plain else (0, 2, 4, 6, 8)))
-    fastest = LIGHT * 100.0  # cm/us
-    for name, values, most in (
-        ("velocity", along, fastest),
-        ("longitudinal diffusion", long, _WIDEST),
-        ("transverse diffusion", wide, _WIDEST),
-    ):
-        wrong = np.argwhere(~((values > 0) & (values < most)))
-        if not values.any():
-            problems.note("gas tables", f"only zeros of the {name}", "a file with this table")
-        elif len(wrong):
-            at = f"{grids['E fields'][wrong[0][0]]:g} V/cm/Torr and {grids['B fields'][wrong[0][1]] * 1e-2:g} T"
-            problems.note(f"gas tables, {name}", f"{values[tuple(wrong[0])]:g} at {at}", f"above 0 and below {most:g}")
-    problems.report(str(path))
-    # Electric fields are divided by the pressure in Torr, magnetic fields are in 0.01 T, velocities in cm/us. Widths in
-    # sqrt(cm) are multiplied by the root of the pressure.
-    native = math.sqrt(10 / torr)
-    name_of = re.search(r"Identifier\s*:\s*(.*)", head)
-    return GasFile(
-        gas=name_of[1].strip() if name_of else "",
-        e_field=grids["E fields"] * torr * 1e-3,
-        b_field=grids["B fields"] * 1e-2,
-        velocity=along * 1e-2,
-        tan_lorentz=np.hypot(across, aside) / np.where(along > 0, along, 1.0),
-        sigma_t=wide * native,
-        sigma_l=long * native,
-    )
+        numbers = np.zeros(shape)
+    return grids, plain, numbers.reshape(shape)
+
+
+def _check_transport(name: str, values: Floats, most: float, grids: Mapping[str, Floats], problems: Problems) -> None:
+    """Note a table of zeros, or the first value, (E, B), that is not between 0 and the largest."""
+    wrong = np.argwhere(~((values > 0) & (values < most)))
+    if not values.any():
+        problems.note("gas tables", f"only zeros of the {name}", "a file with this table")
+    elif len(wrong):
+        at = f"{grids['E fields'][wrong[0][0]]:g} V/cm/Torr and {grids['B fields'][wrong[0][1]] * 1e-2:g} T"
+        problems.note(f"gas tables, {name}", f"{values[tuple(wrong[0])]:g} at {at}", f"above 0 and below {most:g}")
 
 
 def _numbers_of(text: str) -> Floats:
