@@ -9,6 +9,7 @@ from .base import isa as isa
 from .base.errors import DetectorError as DetectorError
 from .base.progress import ProgressBar as ProgressBar
 from .base.version import __version__ as __version__
+from .bes3.events import read_events as read_events
 from .calibration.align import Alignment as Alignment
 from .calibration.align import align as align
 from .calibration.clusters import LorentzAngles as LorentzAngles

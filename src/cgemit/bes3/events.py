@@ -80,12 +80,12 @@ def _positive(matrices: Floats) -> int:
     return int(np.count_nonzero(np.linalg.eigvalsh(matrices / (size[:, :, None] * size[:, None, :])).min(axis=1) > 0))
 
 
-#: What files hold, by the endings of their names.
+#: What files hold and what reads it, by the endings of their names.
 ENDINGS: Mapping[str, str] = {
-    ".rec": "digis, reconstructed hits, clusters and tracks",
-    ".dst": "tracks, without hits",
-    ".rtraw": "digis and truth of simulated events",
-    ".raw": "digis as the detector was read out",
+    ".rec": "digis, reconstructed hits, clusters and tracks (reconstruct, refit)",
+    ".dst": "tracks, without hits (read_events)",
+    ".rtraw": "digis and truth of simulated events (reconstruct)",
+    ".raw": "digis as the detector was read out (reconstruct)",
 }
 
 #: Collections that are read, by our name; a file has one of the branches listed.
@@ -454,6 +454,13 @@ def read_events(
         If there is no such file.
     ValueError
         If it is damaged or no such file, its hits do not fit the detector, or pybes3 is not installed.
+
+    Examples
+    --------
+    >>> events = cg.read_events("run.raw", "besiii-cgem")  # doctest: +SKIP
+    >>> cg.read_events("run.root", "besiii-cgem")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ValueError: 'run.root' is no file of the BESIII software; expected one of .rec: digis, reconstructed hits, ...
     """
     path = Path(path)
     if path.suffix not in ENDINGS:

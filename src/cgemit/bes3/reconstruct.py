@@ -77,8 +77,12 @@ def reconstruct_events(
     Raises
     ------
     ValueError
-        If there is another number of start times than of events.
+        If there is another number of start times than of events, or no fired cells.
     """
+    if not len(events.wire_digis["event"]):
+        raise ValueError(
+            "reconstruct: the events have no fired cells, as those of a .dst file; expected a .raw, .rec or .rtraw file"
+        )
     begin = time.perf_counter()
     settings = Settings.of(settings)
     refine = replace(settings.refine, drift_times="raw", start_time="fitted", points="compete")
@@ -203,7 +207,8 @@ def numbered_tables(events: Bes3Events, result: Result) -> dict[str, dict[str, n
     Returns
     -------
     dict of str to dict of str to ndarray
-        ``tracks``: one row for each; helix, covariance (`cov_0_0` ...), momentum, errors, numbers of hits, status.
+        ``tracks``: one row for each; helix, covariance (`cov_0_0` ...), momentum, errors, numbers of hits, status, and
+        `start_time_status` of the event (`StartTimeStatus`): other than 0, drift times count from a guess.
 
         ``points``: one row for each track and sheet with an X or a V cluster on it. `x_first`, `x_last`, `v_first`,
         `v_last` are the first and last strips (-1 without the cluster), then charges (fC), times (ns), X and V on the
@@ -217,6 +222,7 @@ def numbered_tables(events: Bes3Events, result: Result) -> dict[str, dict[str, n
     about = {name: tracks[name] for name in tracks if tracks[name].ndim == 1 and name not in ("event", "candidate")}
     rows = np.arange(len(tracks))
     own = {"event": tracks["event"], "track": rows} | about | plain_columns({"cov": tracks["cov"]})
+    own["start_time_status"] = result.start_times["status"][tracks["event"]]
     tables = {"tracks": own, "points": _points_on_tracks(result), "residuals": _numbered_residuals(result)}
     return {
         name: {"run": events.run[columns["event"]], "number": events.number[columns["event"]]} | columns

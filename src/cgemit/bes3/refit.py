@@ -122,7 +122,8 @@ def refit(events: Bes3Events, kind: Kind = "kal", settings: FitSettings | None =
     hits = events.clusters, events.wire_hits, events.candidates, events.candidate_hits
     if not len(events.candidates) or not len(boss):
         raise ValueError(
-            f"got {len(events.candidates)} sets of hits and {len(boss)} {FITS[kind]}; expected both, as in a .rec file"
+            f"got {len(events.candidates)} sets of hits and {len(boss)} {FITS[kind]}; expected both, as in a .rec file "
+            "(cgemit reconstruct takes .raw and .rtraw files)"
         )
     fitted = fit(events.detector, *hits, settings)["tracks"]
     mine, theirs = _same(fitted, boss, by_mass=kind == "kal")

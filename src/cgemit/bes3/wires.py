@@ -241,7 +241,16 @@ def match_wires(events: Bes3Events, wire_hits: Table, fitted: Mapping[str, Table
     -------
     Table of kind "matches"
         `purity` and `efficiency` count wire hits alone.
+
+    Raises
+    ------
+    ValueError
+        If the events have no generated particles, as those of an experiment.
     """
+    if not len(events.particles):
+        raise ValueError(
+            "match_wires: the events have no generated particles, as those of an experiment; expected simulated events"
+        )
     if fitted is None:
         named = label_candidates(events.clusters, wire_hits, np.full(len(events.clusters), -1), wire_hits["track"])
         candidates, tracks = named["candidates"], events.mdc_tracks

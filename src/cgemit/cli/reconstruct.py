@@ -12,6 +12,7 @@ from cgemit.cli import options
 if TYPE_CHECKING:
     from cgemit.bes3.reconstruct import PointOffset
     from cgemit.chain.result import Result
+    from cgemit.tables import Table
 
 
 DESCRIPTION = """\
@@ -19,7 +20,7 @@ Read events of BESIII (.raw of the readout, .rec or .rtraw of its software; pybe
 of each event, make clusters of the fired strips, and find and fit the tracks of all fired cells and strips, without the
 experiment's own reconstruction. The folder receives the tables, which `cgemit.open` reads; tracks, points and residuals
 with the experiment's numbers of runs, events, strips and wires, as bes3_tracks.csv, bes3_points.csv, bes3_residuals.csv
-(or .parquet, .root); summary.json; and a picture of the event with most hits on tracks."""
+(or .parquet, .root); summary.json; and a picture of the event with most clusters on tracks."""
 
 EXAMPLES = """\
 The detector needs the layers of the hits: besiii-idc before 2024, besiii-cgem since. Strips with time need an analog
@@ -43,7 +44,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     options.add_events(parser)
     parser.add_argument(
         "--event", type=options.event, action="append", metavar="N",
-        help="event to draw, counted from 0 in the file; may be repeated (default: that with most hits on tracks)",
+        help="event to draw, counted from 0 in the file; may be repeated (default: that with most clusters on tracks)",
     )  # fmt: skip
     parser.add_argument(
         "--format", choices=("csv", "parquet", "root"), default="csv",
@@ -56,12 +57,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, reconstruct, write and draw."""
-    import numpy as np
-
     from cgemit.base.files import SUMMARY, check_free, new_folder
     from cgemit.bes3.events import read_events
     from cgemit.bes3.reconstruct import numbered_tables, point_offsets, reconstruct_events, save_numbered
     from cgemit.draw.display import event
+    from cgemit.reconstruction.refine import StartTimeStatus
     from cgemit.tables.formats import check_format
     from cgemit.tables.schema import is_fitted
     from cgemit.tables.show import text_table
@@ -74,28 +74,50 @@ def run(arguments: argparse.Namespace) -> int:
     result = reconstruct_events(events, settings, points=arguments.points)
     offsets = point_offsets(events, result) if result.strip_times is not None else []
     report = _about(result, arguments) | {"run": sorted({int(one) for one in events.run})}
+    fired = len(events.wire_digis["event"])
+    report["cells"] = {"fired": fired, "outside": fired - len(result.wire_hits)}
     report["points"] = {one.label: _offset(one) for one in offsets}
     text = json.dumps(report, indent=2, allow_nan=False)
-    hits = np.bincount(result.tracks["event"], result.tracks["n_clusters"] + result.tracks["n_wires"], len(events.run))
     with new_folder(arguments.output, overwrite=arguments.overwrite) as folder:
         result.save(folder, command=arguments.line, format=form)
         save_numbered(numbered_tables(events, result), folder, arguments.format)
         (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
-        for number in numbers or [int(hits.argmax())]:
+        for number in numbers or [_fullest(result.tracks)]:
             event(result, number).save(folder / f"event-{number}")
     tracks = result.tracks[is_fitted(result.tracks)]
     rows = [[format(tracks[name][i], kind) for name, kind in _COLUMNS.items()] for i in range(len(tracks))]
+    for row, status in zip(rows, result.start_times["status"][tracks["event"]].tolist(), strict=True):
+        row.append(StartTimeStatus(status).name)
     apart = [
         [one.label, str(one.n), f"{one.x:+.2f} ± {one.err_x:.2f}", f"{one.z:+.1f} ± {one.err_z:.1f}"] for one in offsets
     ]
     head = ["layer", "tracks", "X (mm)", "z (mm)"]
     more = [text_table("clusters minus tracks of wires", head, apart)] if offsets else []
-    table = text_table("fitted tracks (mm, rad, GeV/c)", list(_COLUMNS), rows)
-    options.say(text if arguments.json else "\n".join([repr(events), repr(result), *more, table]))
+    table = text_table("fitted tracks (mm, rad, GeV/c)", [*_COLUMNS, "start_time"], rows)
+    options.say(text if arguments.json else "\n".join([repr(events), repr(result), _left_out(report), *more, table]))
     if not len(tracks):
         raise options.RunFailedError("no track was found and fitted")
     options.note(arguments, f"tables and pictures: {arguments.output}")
     return options.OK
+
+
+def _fullest(tracks: Table) -> int:
+    """Return the event with most clusters on tracks, and of those the one with most wires; 0 without tracks."""
+    import numpy as np
+
+    if not len(tracks):
+        return 0
+    on_tracks = [np.bincount(tracks["event"], tracks[name]) for name in ("n_wires", "n_clusters")]
+    return int(np.lexsort(on_tracks)[-1])
+
+
+def _left_out(report: dict[str, Any]) -> str:
+    """Return how many cells and strips are outside of the drift times, or in events without a start time."""
+    cells, strips = report["cells"], report.get("strip_times")
+    parts = [f"{cells['outside']} of {cells['fired']} cells"]
+    if strips:
+        parts.append(f"{strips['outside']} of {strips['strips']} strips")
+    return f"outside of the drift time, or without a start time: {', '.join(parts)}"
 
 
 def _offset(offset: PointOffset) -> dict[str, Any]:

@@ -51,7 +51,8 @@ def draw_strips(detector: Detector, digis: Table) -> Picture:
                 plot = axes[2 * row + view]
                 mine = digis[(digis["layer"] == number) & (digis["view"] == view) & (digis["strip"] >= 0)]
                 at = mine["sheet"] * strips + mine["strip"]
-                fires = np.bincount(at, minlength=layer.sheets * strips)
+                once = np.unique(np.stack([mine["event"], at]), axis=1)[1]  # a strip may fire twice in an event
+                fires = np.bincount(once, minlength=layer.sheets * strips)
                 begin = int(first[number]) + view * layer.strips_x
                 gid = np.concatenate([
                     begin + sheet * (layer.strips_x + layer.strips_v) + np.arange(strips)

@@ -20,7 +20,9 @@ from cgemit.bes3.reconstruct import (
     reconstruct_events,
     save_numbered,
 )
+from cgemit.bes3.refit import refit
 from cgemit.cli.main import main
+from cgemit.cli.reconstruct import _fullest as fullest
 from cgemit.reconstruction.refine import StartTimeStatus
 from stats import assert_within
 
@@ -132,6 +134,28 @@ def test_events_without_strips_or_start(arrays):
     assert np.isnan(found.start_times["start_time"][3:]).all()
     assert (found.start_times["status"][3:] == StartTimeStatus.no_track).all()
     assert not len(found.clusters)
+
+
+def test_files_without_fired_cells_are_refused(run):
+    """As `.dst` files, which hold tracks alone."""
+    arrays = bes3_layout.events_of(run)
+    names = ("mdc_tracks", "kal_tracks", "run", "number")
+    events = bes3_layout.tables_of({name: one for name, one in arrays.items() if name in names}, CGEM)
+    assert len(events.mdc_tracks) == EVENTS
+    with pytest.raises(ValueError, match=r"reconstruct: the events have no fired cells, as those of a \.dst file"):
+        reconstruct_events(events, SETTINGS)
+    with pytest.raises(ValueError, match=r"got 0 sets of hits and 30 .*\(cgemit reconstruct takes \.raw and"):
+        refit(events, "mdc")
+
+
+def test_tracks_say_whether_their_event_has_a_start_time(arrays, found):
+    events = bes3_layout.tables_of(arrays, CGEM)
+    assert (numbered_tables(events, found)["tracks"]["start_time_status"] == StartTimeStatus.ok).all()
+    status = found.start_times["status"].copy()
+    status[3] = StartTimeStatus.not_converged
+    other = replace(found, tables={**found.tables, "start_times": found.start_times.with_columns(status=status)})
+    marked = numbered_tables(events, other)["tracks"]
+    assert np.unique(marked["event"][marked["start_time_status"] == StartTimeStatus.not_converged]).tolist() == [3]
 
 
 def test_tables_with_numbers_of_the_experiment(arrays, found, tmp_path):
@@ -276,10 +300,22 @@ def test_command(raw, found, tmp_path, capsys):
     offset = summary["strip_times"]["offset"]
     assert offset["value"] == pytest.approx(found.strip_times.meta["offset"])
     assert summary["events_with_start_time"] == EVENTS
+    cells, kept = summary["cells"], len(found.wire_hits)
+    assert cells["fired"] - cells["outside"] == kept > 1000
+    strips = f"{found.strip_times['n_outside'].sum()} of {len(found.digis)} strips"
+    assert f"without a start time: {cells['outside']} of {cells['fired']} cells, {strips}" in text
     table = np.genfromtxt(out / "bes3_tracks.csv", delimiter=",", names=True)
     np.testing.assert_allclose(table["p"], found.tracks["p"], rtol=1e-7)
     assert main([*given, "--event", "30", "--overwrite"]) == 2
     assert "--event: got 30; expected numbers from 0 to 29" in capsys.readouterr().err
+
+
+def test_the_event_to_draw_has_most_clusters(found):
+    """Event 5 of run 91668 has most hits, and no cluster on a track."""
+    clusters, wires = np.zeros(EVENTS, np.int64), np.full(EVENTS, 20)
+    wires[5], clusters[[2, 8]], wires[8] = 90, 6, 30
+    assert fullest(found.tracks.with_columns(n_clusters=clusters, n_wires=wires)) == 8
+    assert fullest(found.tracks[:0]) == 0
 
 
 @REAL

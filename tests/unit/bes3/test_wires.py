@@ -126,3 +126,12 @@ def test_files_without_digis(arrays):
     other = ak.with_field(arrays["mdc_digis"], arrays["mdc_digis"]["m_intId"] | (0x3F << 9), "m_intId")
     with pytest.raises(ValueError, match="wire_digis: got layers 63; expected those of besiii-idc"):
         bes3_layout.tables_of(arrays | {"mdc_digis": other}, "besiii-idc")
+
+
+def test_events_without_truth_have_no_matches(events):
+    """Data of an experiment; with particles, the same tables match."""
+    wires = bes3_wires.all_wire_hits(events)
+    measured = replace(events, particles=events.particles[:0])
+    for fitted in (None, reconstructed(measured, wires)):
+        with pytest.raises(ValueError, match=r"match_wires: the events have no generated particles"):
+            bes3_wires.match_wires(measured, wires, fitted)

@@ -130,3 +130,14 @@ def test_readout_without_times():
     assert "lorentz_angles" not in page.to_dict()
     assert np.isnan(page.arrival).all()
     assert len(list(page.pictures())) == 7
+
+
+def test_a_strip_that_fires_twice_in_an_event_counts_once(run):
+    """As three of the 815 strips of run 91668."""
+    twice = run.digis[np.repeat(np.arange(len(run.digis)), 2)]
+    heights = []
+    for digis in (run.digis, twice):
+        picture = cg.draw.draw_strips(run.detector, digis)
+        heights.append(np.array(picture.axes[1].collections[0].get_segments())[:, 1, 1])
+    assert heights[0].max() <= 100
+    np.testing.assert_array_equal(*heights)
