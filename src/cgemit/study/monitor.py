@@ -198,14 +198,14 @@ def monitor(result: Result) -> RunMonitor:
     """
     residuals, crossings = hit_residuals(result), layer_crossings(result)
     has_times = any(isinstance(group.readout, AnalogReadout) for group in result.detector.groups)
-    arrival, longest = _arrivals(result) if has_times else np.full((2, len(result.digis)), np.nan)
+    arrival, longest, outside = _arrivals(result) if has_times else (*np.full((2, len(result.digis)), np.nan), 0)
     tracks = result.tracks[is_fitted(result.tracks)]
     counts = {"events": result.n_events}
     if result.start_times is not None:
         counts["events_with_start_time"] = int(np.count_nonzero(result.start_times["status"] == 0))
     counts["strips"] = len(result.digis)
-    if result.strip_times is not None:
-        counts["strips_outside_of_drift_time"] = int(result.strip_times["n_outside"].sum())
+    if has_times:
+        counts["strips_outside_of_drift_time"] = outside
     counts |= {f"clusters_{name}": int((result.clusters["view"] == i).sum()) for i, name in enumerate(("x", "v", "xv"))}
     counts |= {"wire_hits": len(result.wire_hits), "tracks": len(tracks)}
     counts["tracks_with_clusters"] = int(np.count_nonzero(tracks["n_clusters"]))
@@ -216,15 +216,20 @@ def monitor(result: Result) -> RunMonitor:
     )  # fmt: skip
 
 
-def _arrivals(result: Result) -> tuple[Floats, Floats]:
-    """Return when the charge of strips arrived after the first electrons, ns, and the drift times of the gaps."""
+def _arrivals(result: Result) -> tuple[Floats, Floats, int]:
+    """Return when charge arrived after the first electrons, ns, drift times of gaps, and how many strips are outside.
+
+    Those in events without a start time are outside, those within the margin of the readout are not.
+    """
     from cgemit.reconstruction.strip_times import arrivals_of
 
     digis: Table = result.digis
     arrivals = arrivals_of(result.detector, digis)
     times = result.strip_times
     begin = 0.0 if times is None else times["strip_time"][np.searchsorted(times["event"], digis["event"])]
-    return np.asarray(arrivals.time - begin), arrivals.longest
+    after = np.asarray(arrivals.time - begin)
+    inside = (after >= -arrivals.margin) & (after <= arrivals.longest + arrivals.margin)
+    return after, arrivals.longest, int(np.count_nonzero(np.isfinite(arrivals.time) & ~inside))
 
 
 def _channels(result: Result) -> list[dict[str, Any]]:

@@ -141,3 +141,13 @@ def test_a_strip_that_fires_twice_in_an_event_counts_once(run):
         heights.append(np.array(picture.axes[1].collections[0].get_segments())[:, 1, 1])
     assert heights[0].max() <= 100
     np.testing.assert_array_equal(*heights)
+
+
+def test_strips_out_of_time_are_those_that_make_no_cluster_alone(run, page):
+    """Each strip in an event of its own; the chip's delays are those of tracks here, of one point there (1 ns)."""
+    n = len(run.digis)
+    alone = cg.Table("digis", {**run.digis.columns, "event": np.arange(n)}, n_events=n)
+    clusters = cg.cluster(run.detector, alone)
+    outside = n - np.count_nonzero(clusters["view"] < 2)
+    assert abs(page.counts["strips_outside_of_drift_time"] - outside) < 5
+    assert outside > 0.2 * n

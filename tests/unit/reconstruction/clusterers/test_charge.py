@@ -358,6 +358,20 @@ def test_strips_out_of_time_are_left_out():
     assert list(zip(every["first"], every["last"], every["charge"], strict=True)) == [(10, 15, 60.0)]
 
 
+def test_negative_charges_weigh_nothing():
+    """A strip of noise with a negative charge, as 42 of 815 in run 91668, leaves the position and widens no cluster."""
+    found = [
+        cluster(LAYERS, digis_of(np.arange(100, 105), [20.0, 40.0, q, 30.0, 10.0]), readout=TIGER) for q in (0.0, -9.0)
+    ]
+    assert [len(one) for one in found] == [2, 2]  # divided at the valley
+    for name in ("first", "last", "size"):
+        np.testing.assert_array_equal(found[1][name], found[0][name])
+    np.testing.assert_allclose(found[1]["x"], found[0]["x"], atol=1e-6)
+    np.testing.assert_allclose(found[1]["err_x"], found[0]["err_x"], rtol=1e-3)
+    alone = cluster(LAYERS, digis_of([100], [-9.0]), readout=TIGER)
+    assert alone["err_x"][0] > 100  # mm: measures nothing
+
+
 def test_strips_of_particles_are_in_time():
     """Hardly any strip of a particle is out of time, and its cluster is the same with such strips."""
     result = cg.run(LAYERS, cg.Gun("pi-", p=0.2, cos_theta=(-0.9, 0.9)), 60, 3, readout=TIGER, until="cluster")
