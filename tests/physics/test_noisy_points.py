@@ -70,7 +70,7 @@ def measured():
 
 
 def test_start_times_in_noise(measured):
-    """RMS of 0.7 ns; zero times of -231 ns, where -233.5 ns are assumed, make start times later by the difference."""
+    """RMS of 0.8 ns; zero times of -231 ns, where -233.5 ns are assumed, make start times later by the difference."""
     _, late, _, found = measured
     assert (found.start_times["status"] == 0).mean() > 0.98
     away = (found.start_times["start_time"] - late - bes3_layout.START)[found.start_times["status"] == 0]
