@@ -59,7 +59,7 @@ def induced_charge(distance: Floats, way: float, pitch: float, gap: float, sigma
     if sigma == 0:
         return edge(high) - edge(low)
     moved = sigma * _NODES
-    return np.asarray((edge(high[..., None] + moved) - edge(low[..., None] + moved)) @ _WEIGHTS)
+    return np.asarray(((edge(high[..., None] + moved) - edge(low[..., None] + moved)) * _WEIGHTS).sum(axis=-1))
 
 
 @lru_cache(maxsize=256)

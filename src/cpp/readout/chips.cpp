@@ -132,7 +132,8 @@ void Tiger::delays(std::span<const double> steps, const ChargesAbove& of, std::s
   for (std::size_t k = 1; k <= i; ++k) risen[k] = std::max(risen[k], risen[k - 1]);
   std::size_t next = 0;
   double before = 0, last = 0;  // fC, ns
-  for (; next < charges.size() && given < 100 * charges.back(); given *= per_charge) {
+  // A current that never rises crosses no threshold.
+  for (; next < charges.size() && given > 0 && given < 100 * charges.back(); given *= per_charge) {
     const double level = of.threshold / given;
     while (i > 0 && risen[i - 1] > level) --i;
     const double low = i > 0 ? edge[i - 1] : 0.0;
