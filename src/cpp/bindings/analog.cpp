@@ -55,7 +55,7 @@ Chip chip(const py::dict& values) {
                             .saturation = in["saturation"]};
   const ShaperNumbers timing = in["timing"], charge = in["charge"];
   const double sample_delay = in["sample_delay"], clock = in["clock"];
-  const int samples = in["samples"];
+  const std::int64_t samples = in["samples"];
   in.check();
   return chip_of(kind, {.amplifier = amplifier,
                         .timing = shaper(timing),
@@ -118,7 +118,7 @@ void check(Problems& problems, const ChipNumbers& chip) {
   check(problems, chip.amplifier);
   const Part part(problems, "chip");
   part.within("sample_delay", chip.sample_delay, -longest, longest);
-  part.within("samples", chip.samples, 1, most_samples);
+  part.within("samples", static_cast<double>(chip.samples), 1, most_samples);
   part.within("clock", chip.clock, tiny, longest / most_samples);
 }
 

@@ -41,7 +41,8 @@ struct ChipNumbers {
   Shaper timing, charge;  // of the branches of the time and of the charge
   double sample_delay;    // ns, from the crossing of the threshold to the sample of the charge
   double clock;           // ns, between samples, the first one at time 0
-  int samples;
+  // 64 bits leave no padding, which GCC 12 clears at a wrong place (-ftrivial-auto-var-init of .ci/sanitize).
+  std::int64_t samples;
 };
 
 struct StripReading {
