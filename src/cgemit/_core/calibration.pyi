@@ -1,12 +1,10 @@
 # Constants of the detector from tracks.
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy.typing as npt
 
 from cgemit._core.detector import Detector
-
-MOST_COLUMNS: Final[int]  # constants of one matrix
 
 # `normal` (n, n), `right` and `measured` (n,): sums over the tracks; and of each track `used`, `hits`, `chi2`,
 # `helix` (5), `cov` (5, 5) and, if requested, `bias` (n, 5).

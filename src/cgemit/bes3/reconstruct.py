@@ -17,15 +17,15 @@ from cgemit.base.arrays import Flags, Floats
 from cgemit.base.files import new_file
 from cgemit.bes3.events import Bes3Events, strip_numbers
 from cgemit.bes3.wires import all_wire_hits, find_start_times
+from cgemit.chain.finders import finder_by_name
 from cgemit.chain.record import table_meta
 from cgemit.chain.result import Result
-from cgemit.chain.settings import TABLES, Settings, detectors_of, find_settings, fit_settings
+from cgemit.chain.settings import TABLES, Settings, detectors_of, fit_settings
 from cgemit.detector import Detector
 from cgemit.detector.parts import cgem_numbers
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.helix import wrap_angle
 from cgemit.reconstruction.cluster import cluster
-from cgemit.reconstruction.find.ckf import find_tracks
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import MOST_STEP, StartTimeStatus, refinements
 from cgemit.reconstruction.states import crossings_of
@@ -374,11 +374,7 @@ def _steady(events: Bes3Events, start: Floats, settings: Settings) -> tuple[dict
 
 def _tracks(events: Bes3Events, clusters: Table, wires: Table, settings: Settings) -> dict[str, Table]:
     """Find and fit tracks."""
-    find, fit = find_settings(settings), fit_settings(settings)
-
-    def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> dict[str, Table]:
-        return find_tracks.unchecked(detector, clusters, wire_hits, find, fit=fit)
-
     how: dict[str, Any] = {"refinements": refinements(settings.refine), "find_again": settings.refine.find_again}
     how["compete"] = settings.refine.points == "compete" and len(clusters) > 0
-    return reconstruct(events.detector, clusters, wires, ckf, fit, **how)
+    finder = finder_by_name("ckf", settings)
+    return reconstruct(events.detector, clusters, wires, finder, fit_settings(settings), **how)

@@ -18,14 +18,15 @@ from cgemit.calibration.modes import Determined, Solution, solve
 from cgemit.calibration.settings import AlignmentSettings, plan_of
 from cgemit.calibration.sums import Sums, fitted_sums, residual_means
 from cgemit.chain.executor import Workers, pool_of
+from cgemit.chain.finders import finder_by_name
 from cgemit.chain.result import Result
-from cgemit.chain.settings import find_settings, fit_settings
+from cgemit.chain.settings import fit_settings
 from cgemit.detector import Detector, load
 from cgemit.detector.alignment import AlignmentTable, value_of
 from cgemit.detector.drift import read_by as hits_read_by
-from cgemit.reconstruction.candidates import by_finder
+from cgemit.reconstruction.candidates import Finder, by_finder
 from cgemit.reconstruction.cluster import read_by as clusters_read_by
-from cgemit.reconstruction.find.ckf import FindSettings, find_tracks
+from cgemit.reconstruction.finders import HIT_FINDERS
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.tables import Table
 from cgemit.tables.show import Tabular
@@ -151,7 +152,7 @@ class _Source:
 
     tables: Mapping[str, Table]
     fit: FitSettings
-    find: FindSettings | None
+    find: Finder | None
     described: Detector
 
 
@@ -171,7 +172,8 @@ def align(
     """Determine constants of a detector from the tracks of runs.
 
     Every iteration fits all tracks with the constants of the one before, sums the normal equations of all free
-    constants, and solves them. Runs with ``finder="ckf"`` are searched for tracks anew each time.
+    constants, and solves them. Runs whose tracks a finder of the package found are searched anew each time; other
+    tables keep their candidates.
 
     Parameters
     ----------
@@ -303,7 +305,7 @@ def sources_of(
             tables = {name: run.tables.get(name) for name in TAKES}
             if all(table is not None for table in tables.values()):
                 tables["clusters"], tables["wire_hits"] = run.fitted_hits
-            finds = find_settings(run.settings, run.gun) if run.finder == "ckf" else None
+            finds = finder_by_name(run.finder, run.settings, run.gun) if run.finder in HIT_FINDERS else None
             fits = fit or fit_settings(run.settings, run.gun)
         elif isinstance(run, Bes3Events):
             described = run.detector
@@ -350,9 +352,5 @@ def tables_of(source: _Source, now: Detector) -> Mapping[str, Table]:
     tables["clusters"] = clusters_read_by(now, source.described, tables["clusters"])
     tables["wire_hits"] = hits_read_by(now, source.described, tables["wire_hits"])
     if source.find is not None:
-
-        def ckf(detector: Detector, clusters: Table, wire_hits: Table) -> Mapping[str, Table]:
-            return find_tracks.unchecked(detector, clusters, wire_hits, source.find)
-
-        tables |= by_finder(ckf, now, tables["clusters"], tables["wire_hits"])
+        tables |= by_finder(source.find, now, tables["clusters"], tables["wire_hits"])
     return tables

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from cgemit.chain.settings import Settings
+from cgemit.chain.settings import Settings, find_settings, fit_settings
 from cgemit.detector import Detector
+from cgemit.particles.gun import Guns, Source
 from cgemit.reconstruction.candidates import Finder
 from cgemit.reconstruction.finders import HIT_FINDERS
 from cgemit.tables import Table
@@ -34,6 +35,25 @@ def truth_finder(truths: Truths) -> Finder:
         return function(truths.detector, truths.particles, clusters, wire_hits, truths.truths, truths.wire_truths)
 
     return truth
+
+
+def finder_by_name(
+    name: str, settings: Settings, source: Source | Guns | None = None, given: Table | None = None
+) -> Finder:
+    """Return a finder of `HIT_FINDERS` with the settings of a run, for tables of the package.
+
+    Parameters
+    ----------
+    name : str
+    settings : Settings
+    source : Source, Guns or None
+        What shoots the particles.
+    given : Table of kind "particles", or None
+        All particles of the run, if nothing shoots them.
+    """
+    named = HIT_FINDERS[name]
+    own = find_settings(settings, source, given, named.stage)
+    return named.of(own, fit_settings(settings, source), check=False)
 
 
 def seedless_layers(finder: str | None, detector: Detector, settings: Settings) -> str:

@@ -30,7 +30,7 @@ from cgemit.chain.executor import (
     check_memory,
     chunk_for,
 )
-from cgemit.chain.finders import FINDERS, Truths, truth_finder
+from cgemit.chain.finders import FINDERS, Truths, finder_by_name, truth_finder
 from cgemit.chain.record import table_meta, write_about
 from cgemit.chain.result import Result
 from cgemit.chain.result import open as open_run
@@ -41,7 +41,6 @@ from cgemit.chain.settings import (
     Settings,
     detectors_of,
     expected_settings,
-    find_settings,
     fit_settings,
     for_run,
     refinements_of,
@@ -286,9 +285,7 @@ def finder_of_run(job: Job, truths: Truths) -> Finder:
         return job.finder
     if job.finder == "truth":
         return truth_finder(truths)
-    named, settings, source = HIT_FINDERS[job.finder], job.settings, job.source
-    own = find_settings(settings, source, job.given, named.stage)
-    return named.of(own, fit_settings(settings, source), check=False)
+    return finder_by_name(job.finder, job.settings, job.source, job.given)
 
 
 def run_chunk(job: Job, particles: Table) -> tuple[Tables, dict[str, float]]:

@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.base.errors import DetectorError
     from cgemit.detector import load, schema
     from cgemit.detector.check import unreachable
-    from cgemit.reconstruction.find.ckf import seedless
+    from cgemit.reconstruction.finders import HIT_FINDERS
 
     if not arguments.files and not arguments.schema:
         raise options.InputError("validate: got no file; expected at least one FILE, or --schema")
@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
             # The schema on stdout must stay clean JSON.
             stream = sys.stderr if arguments.schema else sys.stdout
             options.say(f"{file}: good (detector {detector.name!r})", stream)
-            missing = seedless(detector)
-            for line in [*unreachable(detector), *([f"finder ckf: {missing}"] if missing else [])]:
+            missing = {one.name: one.seedless(detector, one.settings()) for one in HIT_FINDERS.values()}
+            lost = [f"finder {name}: {text}" for name, text in missing.items() if text]
+            for line in [*unreachable(detector), *lost]:
                 options.say(f"  {line}", stream)
     return code

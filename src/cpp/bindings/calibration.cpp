@@ -181,7 +181,6 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
 }  // namespace
 
 void bind_calibration(py::module_& module) {
-  module.attr("MOST_COLUMNS") = most_columns;
   module.def(
       "sums", &run_sums, py::arg("detector"), py::kw_only(), py::arg("columns"), py::arg("hit_offsets"),
       py::arg("hits"), py::arg("reference"), py::arg("kinks"), py::arg("mass"), py::arg("charge"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cgemit as cg
+from cgemit.reconstruction.finders import HIT_FINDERS, HitFinder
 
 NOMINAL = cg.load("besiii-cgem-design").with_readout("gaussian")
 MUONS = cg.Gun("mu-", p=(0.4, 1.5), cos_theta=(-0.8, 0.8))
@@ -50,6 +51,23 @@ def test_alignment_of_the_right_description_finds_nothing() -> None:
     found = cg.align(run_of(NOMINAL, n=200))
     assert found.p_value > 1e-3
     assert np.abs(found.compare(NOMINAL)).max() < 4
+
+
+def test_tracks_of_any_registered_finder_are_found_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A finder by another name than ``ckf`` sees the hits of every turn, with the hypothesis of the run."""
+    seen: list[tuple[float, str | None]] = []
+
+    def few(detector, clusters, wire_hits, settings=None, *, fit=None):
+        seen.append((float(clusters["x"].mean()), settings and settings.hypothesis))
+        return cg.find_tracks(detector, clusters, wire_hits, settings, fit=fit)
+
+    few.unchecked = few  # type: ignore[attr-defined]
+    run = run_of(NOMINAL.with_alignment({"cgem.L1.shift_x": 0.5}), n=60, finder=few)
+    monkeypatch.setitem(HIT_FINDERS, "few", HitFinder("few", few, cg.FindSettings, "find"))
+    seen.clear()
+    aligned = cg.align(run, cg.AlignmentSettings(free=("cgem.L1.shift_x",)))
+    assert len(seen) >= len(aligned.history)
+    assert {hypothesis for _, hypothesis in seen} == {"mu"}
 
 
 @pytest.mark.parametrize("finder", ["truth", "ckf"])
