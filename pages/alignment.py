@@ -11,7 +11,7 @@ import cgemit as cg
 from pages.page import Found, Numbers, Page, share_of, table
 
 PARTS = ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")
-SHOWN = ("cgem.L1", "cgem.L3", "drift_chamber")  # on the page; the numbers on file have all
+SHOWN = ("cgem.L1", "drift_chamber")  # on the page; the numbers on file have all
 UNITS = 10  # of the table, in each displacement
 NAMES = {"shift_x": "100 um", "shift_z": "100 um", "tilt_x": "1 mrad", "rotation": "1 mrad"}
 #: Quantity -> heading, factors from mm, GeV/c and from the units of `resolution` to those of the heading.

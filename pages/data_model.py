@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import numpy as np
@@ -12,6 +13,7 @@ from pages.page import Found, Page, table
 #: What ends the meanings of the columns of a vector.
 AXIS = r", [xyz]$"
 LEAST_FAMILY = 3  # columns of a prefix that share a row
+LEAST_SHARED = 2  # rows that an earlier table has, too, for one row instead
 
 
 def blocks(found: Found) -> dict[str, str]:
@@ -23,8 +25,25 @@ def _section(kind: str, columns: tuple[Column, ...]) -> str:
     head = f"## {kind}\n\nOne row: {ROWS[kind]}."
     if alike := [other for other in SCHEMAS if SCHEMAS[other] == columns and other != kind and kind.endswith(other)]:
         return f"{head} Columns are those of `{alike[0]}`."
-    groups = _groups(tuple(column for column in columns if column.name != "event"))
-    return f"{head}\n\n{table(['column', 'type, unit', 'meaning'], [_row(group) for group in groups])}"
+    own = tuple(column for column in columns if column.name != "event")
+    rows = []
+    for other, shared in _shared(kind, own).items():
+        own = tuple(column for column in own if column not in shared)
+        rows.append([", ".join(f"`{one.name}`" for one in shared), "", f"as in [{other}](#{other})"])
+    return f"{head}\n\n{table(['column', 'type, unit', 'meaning'], [*map(_row, _groups(own)), *rows])}"
+
+
+def _shared(kind: str, columns: tuple[Column, ...]) -> dict[str, list[Column]]:
+    """Return the columns that stand in earlier tables, by the table that has most of them."""
+    found: dict[str, list[Column]] = {}
+    earlier = list(itertools.takewhile(lambda other: other != kind, SCHEMAS))
+    while True:
+        left = [column for column in columns if column not in itertools.chain(*found.values())]
+        most = max(earlier, key=lambda other: len([one for one in left if one in SCHEMAS[other]]), default=kind)
+        shared = [column for column in left if most != kind and column in SCHEMAS[most]]
+        if len(_groups(tuple(shared))) < LEAST_SHARED:
+            return found
+        found[most] = shared
 
 
 def _groups(columns: tuple[Column, ...]) -> list[list[Column]]:

@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
+from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 import cgemit as cg
 from cgemit.analysis.resolutions import pulls as track_pulls
 from cgemit.analysis.widths import measure
+from cgemit.base.arrays import Floats
 from cgemit.detector.gas import drift_columns
 from cgemit.detector.induction import cloud_widths
-from cgemit.detector.readouts import AnalogReadout, Readout
+from cgemit.detector.readouts import AnalogReadout, ChipErrors, Readout
 from cgemit.particles.table import particles_from
+from cgemit.reconstruction.cluster import charge_clusterer
 from cgemit.reconstruction.cluster_errors import COS_THETA as COS_THETAS
-from cgemit.reconstruction.cluster_errors import chip_errors, expected_errors
-from cgemit.study.readout import scan
+from cgemit.reconstruction.cluster_errors import chip_errors, error_inputs, expected_errors
+from cgemit.study.readout import errors, scan
+from cgemit.tables import Table
 from cgemit.truth import assign
 from pages.page import Found, Numbers, Page, share_of, span, table
 
 DETECTOR, P, COS_THETA, SEED = "besiii-cgem-design", 1.0, (-0.93, 0.93), 77
 TRACKS, BEAM, GHOSTS = 12_000, 4000, 1000
-DESIGNS, IN_EACH = 16, 3000  # muons
 EFFECTS = 4000  # tracks
-ALL_DESIGNS, DISPLACED = 32, 50.0  # mm, of half of the muons, from the beam line
+DESIGNS, IN_EACH, DISPLACED = 32, 3000, 50.0  # designs, muons, mm from the beam line of half of them
 READOUTS: dict[str, Readout] = {
     "`binary`": cg.BinaryReadout(), "`tiger`": cg.TigerReadout(),
     "`tiger`, second pass": cg.TigerReadout(second_pass=True),
@@ -43,6 +47,7 @@ BEAM_CHIP = cg.Apv25Readout(gain=39_000.0)  # nothing but the gain is adjusted
 PITCHES = (300, 400, 500, 650, 800, 1000, 1200)  # um
 SIMULATED = (300, 650, 1200)  # um
 #: Constants of clusters without events in src/cpp/reconstruction/cluster/charge_errors.cpp.
+CONSTANTS = {"k": 0.6, "n": 0.9, "wide": 0.8, "chance": 0.014}
 CHIPS = {"binary": "#555555", "tiger": "#0072B2", "apv25": "#D55E00"}
 
 
@@ -108,6 +113,17 @@ class Pitch:
     simulated_d_z: float | None
 
 
+@dataclass(frozen=True)
+class Constant:
+    """A constant of errors without events from simulated clusters: mean over designs, its error, spread of designs."""
+
+    constant: str
+    readout: str
+    mean: float
+    error: float
+    spread: float
+
+
 def simulated(detector: cg.Detector, readout: Readout | str, events: int) -> cg.Result:
     """Return a run of muons of 1 GeV/c."""
     return cg.run(detector, cg.Gun("mu-", p=P, cos_theta=COS_THETA), events, SEED, readout=readout)
@@ -152,6 +168,102 @@ def measure_tracks(share: float) -> Numbers:
             )
         )
     return Numbers(rows, {"events": f"{events:,} mu- a row, seed {SEED}"})
+
+
+class Shares(NamedTuple):
+    """Simulated clusters, and parts of the variances (mm2) that `charge_errors.cpp` gives them."""
+
+    key: npt.NDArray[np.int64]
+    charge: Floats  # fC
+    squares: Floats  # k
+    even: Floats  # k of a charge that does not fluctuate
+    share: Floats  # S
+    strips: Floats  # n
+    jitter: Floats  # mm2, (u v sigma_t)^2
+    excess: Floats  # mm2, epsilon above 0
+    width: Floats  # mm2, sigma_w^2
+    variance: Floats  # mm2
+    without: Floats  # mm2, variance without the part of epsilon
+
+
+def shares_of(at: errors.Design, jitter: bool, displaced: float, n: int, seed: int) -> Shares:
+    """Return the clusters of muons in a design; a single factor in the core's formulas gives each part."""
+    readout = errors.with_estimator(at.readout, "centroid")  # its pairs, and so the rows, do not depend on factors
+    assert isinstance(readout, AnalogReadout)
+    used, inputs = readout if jitter else replace(readout, jitter=0.0), error_inputs(at.detector, readout)
+    result = cg.run(at.detector, errors.muons(n, seed, displaced), seed=seed, readout=used, until="digitize")
+    clusterer, none = charge_clusterer(used), dict.fromkeys((one.name for one in fields(ChipErrors)), 0.0)
+    (group,) = at.detector.with_readout(used).groups
+    none |= {"noise": 0.0, "jitter": 0.0, "rise": 0.0, "height_by_threshold": inputs.chip["height_by_threshold"]}
+
+    def clusters(changed: dict[str, float], directions: Floats | None = None) -> Table:
+        chip = inputs._replace(chip=inputs.chip | changed)
+        columns = clusterer.columns(group, result.digis, chip, directions=directions)
+        return Table("clusters", columns, **result.digis.cover)
+
+    directions = errors.true_directions(at.detector, clusters(none), result.truths)
+
+    def measured(changed: dict[str, float]) -> errors.Measurements:
+        return errors.measurements(at.detector, clusters(changed, directions), result.truths, lorentz=readout.lorentz)
+
+    base = measured(none)
+    # Without a direction another cluster of the crossing is selected; at the edge of a sheet variances are no sums.
+    own = assign.own_clusters(at.detector, clusters(none, directions), result.truths)
+    known = np.isfinite(directions[own, 0]) & errors.inside_of_sheet(at.detector, base)
+    plane = {name: values[base.view * len(at.detector.cgem) + base.layer] for name, values in inputs.planes.items()}
+
+    def part(**changed: float) -> Floats:
+        other = measured(none | changed)
+        known[other.first != base.first] = False  # another part of a divided cluster has become that of the crossing
+        return np.asarray(other.error**2 - base.error**2)
+
+    width = plane["pitch"] ** 2 / 12 + plane["cloud"] + plane["diffusion"]
+    along = base.slope**2 * plane["gap"] ** 2 / 12
+    span = 12 / (12 / plane["gap"] ** 2 + base.slope**2 / width)
+    share = part(span=1.0) / (base.slope**2 * span)
+    electrons = np.maximum(base.charge * inputs.chip["electrons_per_fC"], 2.0)
+    largest = np.sqrt(np.maximum(share - (1 + inputs.chip["gain_variance"]) / electrons, 0)).clip(1e-9, 0.75)
+    # Without a largest ionization cluster there is no wide charge, but V has a share of X's at the edge of a sheet.
+    excess = np.where(largest > 1e-9, part(wide=1.0) * (1 - largest) / largest, 0.0)
+    cubic = part(noise=1.0) * 12 * base.charge**2 / plane["pitch"] ** 2  # n (n^2 - 1)
+    found = Shares(
+        (2 * base.truth + base.view) * (1 << 20) + base.first, base.charge,
+        part(time=1.0, jitter=1e5) / (base.slope * plane["velocity"] * 1e5) ** 2,
+        plane["pitch"] / np.sqrt(12 * (along + width)), share,
+        np.searchsorted([i**3 - i - 0.5 for i in range(1, 1000)], cubic, side="right").astype(np.float64),
+        (base.slope * plane["velocity"] * inputs.chip["jitter"]) ** 2, excess, width,
+        measured({}).error ** 2, measured({"wide": 0.0}).error ** 2,
+    )  # fmt: skip
+    return Shares._make(values[known] for values in found)
+
+
+def constants_of(at: errors.Design, n: int, seed: int) -> list[float]:
+    """Return the constants in a design, in the order of `CONSTANTS`."""
+    pairs = []
+    for displaced in (0.0, DISPLACED):
+        one, still = (shares_of(at, jitter, displaced, n // 2, seed) for jitter in (True, False))
+        _, rows, others = np.intersect1d(one.key, still.key, return_indices=True)
+        pairs.append([Shares._make(values[rows] for values in one), Shares._make(values[others] for values in still)])
+    one, still = (Shares._make(map(np.concatenate, zip(*parts, strict=True))) for parts in zip(*pairs, strict=True))
+    wide = (still.excess > 0) & (one.charge == still.charge) & (one.strips == still.strips)
+    variance, without, width = (np.exp(np.log(each).mean()) for each in (still.variance, still.without, still.width))
+    return [
+        float((one.squares - one.even).sum() / (one.share * (1 - one.even)).sum()),
+        float((one.strips - 1 / one.squares).mean()),
+        float((one.excess - still.excess)[wide].sum() / one.jitter[wide].sum()),
+        float((variance - without) / width),
+    ]
+
+
+def measure_constants(share: float) -> Numbers:
+    """Measure the constants of clusters without events in simulated clusters of all designs."""
+    designs, n, rows = share_of(DESIGNS, share, 4), share_of(IN_EACH, share, 400), []
+    for readout in (cg.TigerReadout(), cg.Apv25Readout()):
+        found = np.array([constants_of(errors.design(readout, number), n, 1 + number) for number in range(designs)])
+        for name, values in zip(CONSTANTS, found.T, strict=True):
+            spread = float(values.std(ddof=1))
+            rows.append(Constant(name, readout.name, float(values.mean()), spread / designs**0.5, spread))
+    return Numbers(rows, {"events": f"{n} muons in each of {designs} designs"})
 
 
 def measure_beam(share: float) -> Numbers:
@@ -296,6 +408,8 @@ def blocks(found: Found) -> dict[str, str]:
         **_gaps(),
         "correlations": _correlations(),
         "factors": _factors(),
+        "constants-sample": found["constants"].about["events"],
+        "constants": _constants(found),
         "tracks": _tracks(found),
         "effects-sample": found["effects"].about["events"],
         "effects": _effects(found),
@@ -309,6 +423,18 @@ def _factors() -> str:
     chips = [asdict(chip_errors(name)) for name in ("tiger", "apv25", "analog-projection")]
     head = ["factor", "`tiger`", "`apv25`", "`analog-projection`"]
     return table(head, [[f"`{name}`", *(f"{chip[name]:.3g}" for chip in chips)] for name in chips[0]])
+
+
+def _constants(found: Found) -> str:
+    """Return the means of each chip, and which constants differ from them by more than the spread of the designs."""
+    rows = found["constants"].rows
+    means = []
+    for chip in ("tiger", "apv25"):
+        own = (f"{row.mean:.{2 if row.mean > 0.1 else 4}f}" for row in rows if row.readout == chip)
+        means.append(f"{', '.join(own)} (`{chip}`)")
+    off = [row for row in rows if abs(row.mean - CONSTANTS[row.constant]) > row.spread]
+    apart = " and ".join(f"{CONSTANTS[row.constant]} differs from the mean of `{row.readout}`" for row in off)
+    return f"{' and '.join(means)}; {apart or 'none differs'} by more than the spread of the designs"
 
 
 def _tracks(found: Found) -> str:
@@ -421,6 +547,7 @@ PAGE = Page(
     {
         "tracks": (Tracks, measure_tracks), "beam": (Beam, measure_beam),
         "ghosts": (Ghosts, measure_ghosts), "pitch": (Pitch, measure_pitches), "effects": (Effect, measure_effects),
+        "constants": (Constant, measure_constants),
     },
     blocks, {"readout-pitch.png": draw},
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Cost of the parts of the simulation, of field maps in it, and of the analog readouts; one thread, processor time."""
+"""Cost of the parts of the simulation; one thread, processor time."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ CASES = {
     "default, foils with holes": SimulateSettings(foil="lattice"),
     "default, every sub-layer by itself": SimulateSettings(sublayers=True),
 }
-FIELDS = ("uniform", "besiii", "finite-solenoid")  # the last one on a grid in (r, z)
-READOUT_MUONS, READOUT_SEED, READOUT_RUNS, FACTORS = 500, 5, 7, (1, 2, 4, 8)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from cgemit.detector.readouts import READOUTS
 from cgemit.draw.style import mathematical
 from cgemit.particles.species import species
 from cgemit.tables.show import with_error
-from pages import alignment, background, covariance, deltas, fit, geant4, optimal, paper
+from pages import alignment, background, covariance, deltas, fit, geant4, optimal, paper, readout
 from pages.__main__ import PAGES, main, problems
 from pages.fit import FitResults
 from pages.page import DATA, ROOT, Numbers, Page, put, read_numbers, torn_lines, write_numbers
@@ -43,6 +43,14 @@ def test_page_is_what_its_numbers_say(page: Page) -> None:
 def images_of(file: str) -> str:
     """Return where the pictures are, seen from a page."""
     return f"{os.path.relpath(ROOT / 'docs' / 'images', (ROOT / file).parent)}/"
+
+
+def test_constants_of_errors_without_events_are_those_of_the_core() -> None:
+    text = (ROOT / "src/cpp/reconstruction/cluster/charge_errors.cpp").read_text(encoding="utf-8")
+    used = re.findall(
+        r"even \+ ([\d.]+) \* share|squares \+ ([\d.]+);|\+= ([\d.]+) \* square|\? ([\d.]+) \* width", text
+    )
+    assert [float("".join(one)) for one in used] == list(readout.CONSTANTS.values())
 
 
 def test_nothing_is_between_markers_that_no_page_writes() -> None:
