@@ -109,6 +109,7 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     polar = gun.add_mutually_exclusive_group()
     polar.add_argument("--theta", type=options.angles, metavar="VALUES", help="polar angle, rad")
     polar.add_argument("--cos-theta", type=options.cosines, metavar="VALUES", help="its cosine")
+    polar.add_argument("--eta", type=options.cosines, metavar="VALUES", help="pseudorapidity")
     gun.add_argument("--phi", type=options.angles, metavar="VALUES", help="azimuth, rad (default: uniform)")
     gun.add_argument("--vertex", type=options.triple, metavar="X,Y,Z", help="vertex, mm (default 0,0,0)")
     gun.add_argument(
@@ -131,7 +132,7 @@ def add_gun(parser: argparse.ArgumentParser, *, files: bool = False) -> None:
     )  # fmt: skip
 
 
-_GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+_GUN = ("particle", "p", "pt", "theta", "cos_theta", "eta", "phi", "vertex", "vertex_sigma")
 
 
 def gun_of(arguments: argparse.Namespace, *required: tuple[str, object]) -> Source:
@@ -156,7 +157,7 @@ def gun_of(arguments: argparse.Namespace, *required: tuple[str, object]) -> Sour
     instead = ""
     if arguments.sample is None:
         instead = f", or{' --particles FILE, or' if hasattr(arguments, 'particles') else ''} --sample NAME"
-        for pair in (("--p", "--pt"), ("--theta", "--cos-theta")):
+        for pair in (("--p", "--pt"), ("--theta", "--cos-theta", "--eta")):
             if not any(one[2:].replace("-", "_") in options_of_gun for one in pair):
                 missing.append(" or ".join(pair))
     if missing:

@@ -225,7 +225,8 @@ def fills(number: int) -> list[tuple[str, str]]:
     return [(SERIES[i % len(SERIES)], _HATCHES[i // len(SERIES) % len(_HATCHES)]) for i in range(number)]
 
 
-_NAMES = {"p": "p = {} GeV/c", "pt": "pT = {} GeV/c", "theta": "θ = {} rad", "cos_theta": "cos θ = {}"}
+_NAMES = {"p": "p = {} GeV/c", "pt": "pT = {} GeV/c", "theta": "θ = {} rad", "cos_theta": "cos θ = {}",
+          "eta": "η = {}"}  # fmt: skip
 
 
 def shot_text(source: Source | Guns | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from html import escape
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -118,9 +118,9 @@ class Guns:
 
 
 _UNITS = {
-    "name": "", "particle": "", "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "cos_theta": "", "phi": "[rad]",
-    "vertex": "[mm]", "vertex_sigma": "[mm]", "vertex_spread": "", "radius": "[mm]", "crossing": "[rad]",
-    "multiplicity": "",
+    "name": "", "particle": "", "p": "[GeV/c]", "pt": "[GeV/c]", "theta": "[rad]", "cos_theta": "", "eta": "",
+    "phi": "[rad]", "vertex": "[mm]", "vertex_sigma": "[mm]", "vertex_spread": "", "radius": "[mm]",
+    "crossing": "[rad]", "multiplicity": "",
 }  # fmt: skip
 
 
@@ -139,6 +139,7 @@ def _shown(value: object) -> str:
 Momentum = Annotated[ValueLike, Spread("momentum", 0, FASTEST, above=True)] | None
 Polar = Annotated[ValueLike, Spread("angle", 0, math.pi)] | None
 Cosine = Annotated[ValueLike, Spread("dimensionless", -1, 1)] | None
+Pseudorapidity = Annotated[ValueLike, Spread("dimensionless", -10, 10)] | None
 Azimuth = Annotated[ValueLike, Spread("angle")]
 Point = Annotated[tuple[ValueLike, ValueLike, ValueLike], Axes("length", -FARTHEST, FARTHEST)]
 Sizes = Annotated[tuple[ValueLike, ValueLike, ValueLike], Axes("length", 0, FARTHEST)]
@@ -160,8 +161,8 @@ class Gun(Source):
         Name (``"mu-"``, ``"proton"``, ``"K+"``) or number of the Particle Data Group.
     p, pt : GeV/c
         Momentum or transverse momentum: exactly one of them.
-    theta, cos_theta : rad, or a pure number
-        Polar angle or its cosine: exactly one of them. A range is uniform in the one given.
+    theta, cos_theta, eta : rad, or a pure number
+        Polar angle, its cosine or pseudorapidity: exactly one of them. A range is uniform in the one given.
     phi : rad
         Azimuth of the momentum at the vertex.
     vertex : tuple of three, mm
@@ -192,6 +193,7 @@ class Gun(Source):
     pt: Momentum = None
     theta: Polar = None
     cos_theta: Cosine = None
+    eta: Pseudorapidity = field(default=None, kw_only=True)
     phi: Azimuth = (-math.pi, math.pi)
     vertex: Point = (0.0, 0.0, 0.0)
     vertex_sigma: Sizes = (0.0, 0.0, 0.0)
@@ -204,10 +206,10 @@ class Gun(Source):
             object.__setattr__(self, "particle", species(self.particle).name)
         except WrongValueError as error:
             problems.take(error, "particle")
-        for name, other in (("p", "pt"), ("theta", "cos_theta")):
-            if (getattr(self, name) is None) == (getattr(self, other) is None):
-                given = "none" if getattr(self, name) is None else "both"
-                problems.note(f"{name}, {other}", given, "exactly one of them")
+        for names in (("p", "pt"), ("theta", "cos_theta", "eta")):
+            given = [name for name in names if getattr(self, name) is not None]
+            if len(given) != 1:
+                problems.note(", ".join(names), " and ".join(given) or "none", "exactly one of them")
         check_fields(self, problems)
         if self.pt is not None and not problems:
             _check_across(self, problems)
@@ -327,6 +329,9 @@ def _shoot(gun: Gun, draws: _Draws) -> dict[str, Array]:
     if gun.cos_theta is not None:
         cos = draws.uniform(_POLAR, gun.cos_theta)
         sin = np.sqrt((1 - cos) * (1 + cos))
+    elif gun.eta is not None:
+        eta = draws.uniform(_POLAR, gun.eta)
+        cos, sin = np.tanh(eta), 1 / np.cosh(eta)
     else:
         theta = draws.uniform(_POLAR, gun.theta)
         cos, sin = np.cos(theta), np.sin(theta)
@@ -389,9 +394,15 @@ def _momenta(gun: Gun) -> Array:
     """Return the ends of the range of momenta, the values in turn, or the only one."""
     if gun.p is not None:
         return _ends(gun.p)
-    polar = _ends(gun.theta if gun.cos_theta is None else gun.cos_theta)
+    name = next(name for name in ("theta", "cos_theta", "eta") if getattr(gun, name) is not None)
+    polar = _ends(getattr(gun, name))
     middle = float(np.mean([polar.min(), polar.max()]))
-    return _ends(gun.pt) / (math.sin(middle) if gun.cos_theta is None else math.sqrt(1 - middle * middle))
+    sines = {
+        "theta": math.sin,
+        "cos_theta": lambda cosine: math.sqrt(1 - cosine**2),
+        "eta": lambda eta: 1 / math.cosh(eta),
+    }
+    return _ends(gun.pt) / sines[name](middle)
 
 
 def _ends(value: object) -> Array:

@@ -141,7 +141,7 @@ COMMON = [
     Row("--seed", ["--seed", "18446744073709551615"], {"seed": 2**64 - 1}),
 ]  # fmt: skip
 
-GUN = ("particle", "p", "pt", "theta", "cos_theta", "phi", "vertex", "vertex_sigma")
+GUN = ("particle", "p", "pt", "theta", "cos_theta", "eta", "phi", "vertex", "vertex_sigma")
 SIMULATE = {
     "--detector": ["-d", DESIGN], "--p": ["--p", "0.3"], "--cos-theta": ["--cos-theta", "0.1"],
     "--events": ["-n", "30"], "--fit": ["--fit"],
@@ -152,6 +152,7 @@ SIMULATE_ROWS = [
     Row("--events", ["-n", "31"], {"n": 31}),
     Row("--pt", ["--pt", "0.3:0.4"], {"p": None, "pt": (0.3, 0.4)}, "--p"),
     Row("--theta", ["--theta", "60 deg"], {"cos_theta": None, "theta": "60 deg"}, "--cos-theta"),
+    Row("--eta", ["--eta", "-1:1"], {"cos_theta": None, "eta": (-1.0, 1.0)}, "--cos-theta"),
     Row("--phi", ["--phi", "1,2"], {"phi": [1.0, 2.0]}),
     Row("--vertex", ["--vertex", "1,2,30"], {"vertex": (1.0, 2.0, 30.0)}),
     Row("--vertex-sigma", ["--vertex-sigma", "0.1,0.2,3"], {"vertex_sigma": (0.1, 0.2, 3.0)}),

@@ -78,6 +78,22 @@ def test_ranges_are_uniform():
     assert_within(correlation, 0.0, 1 / math.sqrt(n), what="correlation")
 
 
+def test_ranges_of_pseudorapidity_are_uniform_in_it():
+    n = 20_000
+    _, pt, cos, _ = momentum(generate(Gun("pi+", pt=0.5, eta=(-1.0, 2.0)), n, seed=3))
+    unit = (np.arctanh(cos) + 1) / 3
+    np.testing.assert_allclose(pt, 0.5, rtol=1e-12)
+    assert (unit.min() > 0) & (unit.max() < 1)
+    assert_within(unit.mean(), 0.5, math.sqrt(1 / 12 / n), what="mean")
+    assert_within(unit.var(), 1 / 12, math.sqrt(1 / 180 / n), what="variance")
+    one = generate(Gun("pi+", p=1.0, eta=1.2), 5, seed=1)
+    np.testing.assert_allclose(np.log(np.tan(np.arccos(one["pz"]) / 2)), -1.2, rtol=1e-12)
+    assert usual_momentum(Gun("pi+", pt=0.5, eta=1.2)) == pytest.approx(0.5 * math.cosh(1.2))
+    for wrong in ({"eta": 1.0, "cos_theta": 0.0}, {}):
+        with pytest.raises(ParticleError, match="theta, cos_theta, eta: got"):
+            Gun("pi+", p=1.0, **wrong)
+
+
 def test_theta_range_is_uniform_in_theta():
     """A range of theta is uniform in theta, which is not uniform in cos(theta): the gate sees the difference."""
     n = 20_000
