@@ -16,7 +16,7 @@ from cgemit.draw.style import COLORS, SERIES, Picture, grid, new_picture, style
 if TYPE_CHECKING:
     from cgemit.calibration.forecast import AlignmentForecast
 
-_SHORT = {"mm": (1e3, "um"), "rad": (1e6, "urad"), "ns": (1.0, "ns"), "": (1.0, "1")}
+_SHORT = {"mm": (1e3, "µm"), "rad": (1e6, "µrad"), "ns": (1.0, "ns"), "": (1.0, "1")}
 
 
 _MOST_LABELS = 10  # of parts
@@ -38,7 +38,7 @@ def draw_constants(alignment: Alignment | AlignmentForecast) -> Picture:
     >>> muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8))
     >>> picture = cg.draw.draw_constants(cg.alignment_forecast("besiii-cgem", [(muons, 1000)]))
     >>> picture.axes[0].get_ylabel()
-    'error  (um, urad)'
+    'error  (µm, µrad)'
     """
     with style():
         aligned = isinstance(alignment, Alignment)
@@ -112,7 +112,7 @@ def draw_modes(alignment: Alignment | AlignmentForecast, number: int = 4) -> Pic
         for i in range(shown):
             values = dict(zip(modes.constants, modes.shapes[i], strict=True))
             _arrows(axes[i], axes[shown + i], alignment, values)
-            size = "not determined" if not np.isfinite(modes.sizes[i]) else f"{1e3 * modes.sizes[i]:.3g} um"
+            size = "not determined" if not np.isfinite(modes.sizes[i]) else f"{1e3 * modes.sizes[i]:.3g} µm"
             axes[i].set_title(f"{modes.names[i]}\n{size}", fontsize=8.5)
         axes[0].set_ylabel("y  (mm)")
         picture.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.09, wspace=0.4, hspace=0.25)
@@ -169,7 +169,7 @@ def draw_residual_means(alignment: Alignment) -> Picture:
     >>> run = cg.run("besiii-cgem", cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)), n=100, readout="gaussian")
     >>> picture = cg.draw.draw_residual_means(cg.align(run, cg.AlignmentSettings(free=("cgem.*.shift_z",))))
     >>> picture.axes[0].get_ylabel()
-    'mean residual  (um)'
+    'mean residual  (µm)'
     """
     with style():
         picture, (axes,) = new_picture(1, 1, (7.0, 4.4))
@@ -179,7 +179,7 @@ def draw_residual_means(alignment: Alignment) -> Picture:
             at = np.arange(len(names)) + 0.15 * (2 * i - 1)
             axes.errorbar(at, numbers[:, 0], numbers[:, 1], fmt="o", ms=4, color=colour, label=label)
         axes.axhline(0, color=COLORS["text"], lw=0.8)
-        axes.set(xticks=range(len(names)), ylabel="mean residual  (um)")
+        axes.set(xticks=range(len(names)), ylabel="mean residual  (µm)")
         axes.set_xticklabels(names)
         axes.legend()
         grid(axes)

@@ -176,7 +176,7 @@ def _residual_panel(plot: Axes, title: str, hits: HitResiduals, colour: str) -> 
     if len(near) > 1:
         rms = near.residual.std(ddof=1)
         mean, err = 1e3 * near.residual.mean(), 1e3 * rms / np.sqrt(len(near))
-        lines += [f"mean {mean:.0f} ± {err:.0f} um", f"RMS {1e3 * rms:.0f} um"]
+        lines += [f"mean {mean:.0f} ± {err:.0f} µm", f"RMS {1e3 * rms:.0f} µm"]
         lines.append(f"pull {np.sqrt(np.mean(near.pull**2)):.2f}")
     statistics_box(plot, lines)
     grid(plot)
@@ -249,7 +249,7 @@ def draw_residual_profiles(hits: HitResiduals, by: Sequence[str] = ("time", "inc
             for plot in (axes[i], axes[len(by) + i]):
                 plot.set_xlabel(_LABELS.get(name, name))
                 grid(plot)
-        axes[0].set_ylabel("mean residual (um)")
+        axes[0].set_ylabel("mean residual  (µm)")
         axes[len(by)].set_ylabel("RMS of pulls")
         axes[0].legend(fontsize=8)
         picture.subplots_adjust(left=0.07, right=0.99, top=0.97, bottom=0.1, hspace=0.3, wspace=0.28)
@@ -336,7 +336,7 @@ def draw_layer_maps(crossings: LayerCrossings, hits: HitResiduals) -> Picture:
                 look: dict[str, Any] = {"cmap": "viridis", "vmin": 0, "vmax": 100}
                 if row:
                     look = {"cmap": "coolwarm", "vmin": -limit, "vmax": limit}
-                picture.colorbar(plot.pcolormesh(*edges, mean.T, **look), ax=plot, label="um" if row else "%")
+                picture.colorbar(plot.pcolormesh(*edges, mean.T, **look), ax=plot, label="µm" if row else "%")
                 number_of = f"{len(phi)} {'hits' if row else 'tracks'}"
                 plot.set(title=f"{title}, {number_of}", xlabel="azimuth (rad)", ylabel="z (mm)")
         picture.subplots_adjust(left=0.06, right=0.96, top=0.96, bottom=0.07, hspace=0.42, wspace=0.36)

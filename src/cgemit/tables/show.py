@@ -227,8 +227,8 @@ def _is_text(column: Sequence[str]) -> bool:
 
 
 def shown(text: str) -> str:
-    """Return a unit, or a text with units, as figures and reports write it: with "µm" for "um"."""
-    return re.sub(r"\bum\b", "µm", text)
+    """Return a unit, or a text with units, as figures and reports write it: with "µm" for "um", "µrad" for "urad"."""
+    return re.sub(r"\bu(m|rad)\b", r"µ\1", text)
 
 
 def write_csv(path: Path, columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]], digits: int = 7) -> None:

@@ -86,7 +86,7 @@ def test_pictures_show_the_numbers(run, page):
     assert bars == 1
     assert f"hits {len(mine)}, far {np.count_nonzero(~mine.counts)}" in first.texts[0].get_text()
     rms = 1e3 * mine.residual[mine.counts].std(ddof=1)
-    assert f"RMS {rms:.0f} um" in first.texts[0].get_text()
+    assert f"RMS {rms:.0f} µm" in first.texts[0].get_text()
     shown = pictures["efficiencies"].axes[0].containers[0].lines[0].get_ydata()
     np.testing.assert_allclose(shown, 100 * page.efficiencies.x)
     bars = pictures["efficiencies"].axes[0].containers[0].lines[2][0].get_segments()
