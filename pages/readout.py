@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import matplotlib.pyplot as plt
@@ -21,7 +21,7 @@ from cgemit.detector.readouts import AnalogReadout, ChipErrors, Readout
 from cgemit.particles.table import particles_from
 from cgemit.reconstruction.cluster import charge_clusterer
 from cgemit.reconstruction.cluster_errors import COS_THETA as COS_THETAS
-from cgemit.reconstruction.cluster_errors import chip_errors, error_inputs, expected_errors
+from cgemit.reconstruction.cluster_errors import error_inputs, expected_errors
 from cgemit.study.readout import errors, scan
 from cgemit.tables import Table
 from cgemit.truth import assign
@@ -45,6 +45,7 @@ PUBLISHED = {
 }  # fmt: skip
 BEAM_CHIP = cg.Apv25Readout(gain=39_000.0)  # nothing but the gain is adjusted
 PITCHES = (300, 400, 500, 650, 800, 1000, 1200)  # um
+SHOWN = (300, 500, 650, 800, 1200)  # um, in the table; the picture has all
 SIMULATED = (300, 650, 1200)  # um
 #: Constants of clusters without events in src/cpp/reconstruction/cluster/charge_errors.cpp.
 CONSTANTS = {"k": 0.6, "n": 0.9, "wide": 0.8, "chance": 0.014}
@@ -407,7 +408,6 @@ def blocks(found: Found) -> dict[str, str]:
         "pions": found["beam"].about["events"],
         **_gaps(),
         "correlations": _correlations(),
-        "factors": _factors(),
         "constants-sample": found["constants"].about["events"],
         "constants": _constants(found),
         "tracks": _tracks(found),
@@ -417,12 +417,6 @@ def blocks(found: Found) -> dict[str, str]:
         "ghosts": _ghosts(found),
         "pitch": _pitches(found),
     }
-
-
-def _factors() -> str:
-    chips = [asdict(chip_errors(name)) for name in ("tiger", "apv25", "analog-projection")]
-    head = ["factor", "`tiger`", "`apv25`", "`analog-projection`"]
-    return table(head, [[f"`{name}`", *(f"{chip[name]:.3g}" for chip in chips)] for name in chips[0]])
 
 
 def _constants(found: Found) -> str:
@@ -515,7 +509,7 @@ def _pitches(found: Found) -> str:
     head = ["pitch [mm]", "channels", *(f"`{chip}` [µm]" for chip in CHIPS), "simulated [µm]"]
     rows = {(row.readout, row.pitch): row for row in found["pitch"].rows}
     lines = []
-    for pitch in PITCHES:
+    for pitch in SHOWN:
         here = [rows[chip, pitch] for chip in CHIPS]
         seen = [f"{row.simulated_d_rho:.0f}" for row in here if row.simulated_d_rho is not None]
         values = [f"{row.d_rho:.0f}" for row in here]
