@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import cgemit as cg
+from cgemit.tables.schema import has_momentum
 from pages.page import Found, Numbers, Page, share_of, table
 
 PARTS = ("cgem.L1", "cgem.L2", "cgem.L3", "drift_chamber")
@@ -47,7 +48,7 @@ def changes(events: int) -> Iterator[Change]:
     for part in PARTS:
         for key, size in NAMES.items():
             moved = fitted(nominal.with_overrides({f"{part}.{key}": size}), nominal, events)
-            good = (plain["status"] == 0) & (moved["status"] == 0)
+            good = has_momentum(plain) & has_momentum(moved)
             for quantity, (_, scale, of_width) in QUANTITIES.items():
                 change = scale * (moved[f"res_{quantity}"] - plain[f"res_{quantity}"])[good] / UNITS
                 width = cg.resolution(plain, quantity).core * of_width

@@ -17,6 +17,7 @@ from cgemit.analysis.finding import finding
 from cgemit.reconstruction.cluster import cluster
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.background import add_background
+from cgemit.tables.schema import has_momentum
 from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, share_of, table
 
@@ -187,7 +188,7 @@ def times(share: float) -> Numbers:
             if "uncorrected" in label:
                 hits = (result.clusters, result.wire_hits, result.candidates, result.candidate_hits)
                 tracks = fit(result.detector, *hits)["tracks"]
-                good = (tracks["status"] == 0) & np.isfinite(result.tracks["truth_p"])
+                good = has_momentum(tracks) & np.isfinite(result.tracks["truth_p"])
                 width = cg.study.measure(1e3 * (tracks["p"] - result.tracks["truth_p"])[good], parameter="p")
             rows.append(Times(label, name, width.core, width.core_error))
     return Numbers(rows, {"events": f"{events:,} events, seed {SEED}"})

@@ -30,6 +30,7 @@ from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.fit import LOSSES, PARAMETERS, FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.simulation.transport import SimulateSettings
+from cgemit.tables.schema import has_momentum
 from pages.optimal import QUANTITIES, Hit, Optimum, TurnsBackError, errors, optimum
 from pages.page import Found, Numbers, Page, say, share_of, span, table
 
@@ -273,7 +274,7 @@ class _Sums:
         residuals = result.residuals
         if residuals is None:
             return
-        residuals = residuals[result.tracks["status"][residuals["track"]] == 0]
+        residuals = residuals[has_momentum(result.tracks)[residuals["track"]]]
         key = residuals["view"].astype(np.int64) * 1000 + residuals["layer"]
         found, place = np.unique(key, return_inverse=True)
         pull = np.clip(residuals["pull"], -FAR, FAR)
@@ -308,7 +309,7 @@ def measure_point(
             sums.add(result)
     assert first is not None
     tracks = {name: np.concatenate(parts) for name, parts in columns.items()}
-    good = (tracks["status"] == 0) & (tracks["ndf"] > 0)  # without degrees of freedom there is no chi-square
+    good = has_momentum(tracks) & (tracks["ndf"] > 0)  # without degrees of freedom there is no chi-square
     tracks = {name: column[good] for name, column in tracks.items()}
     probability = chi2.sf(tracks["chi2"], tracks["ndf"])
     flat = float(kstest(probability, "uniform").pvalue)
@@ -369,7 +370,7 @@ def _optima(result: Result, some: int, *, pulls: bool = False) -> list[tuple[Flo
     fitted = np.stack([result.tracks[name] for name in PARAMETERS], axis=1)
     columns = ("kind", "layer", "channel", "sigma")
     found = []
-    for track in np.flatnonzero(result.tracks["status"] == 0)[:some]:
+    for track in np.flatnonzero(has_momentum(result.tracks))[:some]:
         rows = range(hits.hit_offsets[track], hits.hit_offsets[track + 1])
         seen = [Hit(*(getattr(hits, name)[i].item() for name in columns)) for i in rows]
         mass = float(result.particles["mass"][track])
@@ -427,7 +428,7 @@ def measure_sides(n: int, threads: int | None, momenta: Sequence[float] = (0.2, 
 def _wrong_sides(p: float, result: Result) -> list[Side]:
     residuals = result.residuals
     assert residuals is not None
-    fitted = result.tracks["status"][residuals["track"]] == 0
+    fitted = has_momentum(result.tracks)[residuals["track"]]
     rows = (residuals["view"] == 2) & (residuals["used"] == 1) & fitted
     hit, side = residuals["hit"][rows], residuals["side"][rows]
     true = result.wire_truths["side"][result.wire_hits["wire_truth"][hit]]
@@ -441,7 +442,7 @@ def _wrong_sides(p: float, result: Result) -> list[Side]:
 
 def _known(p: float, known: Result, hidden: Result, samples: int = 20) -> Known:
     """Compare the core widths of p of the same tracks; the error is that of parts of the sample."""
-    good = (known.tracks["status"] == 0) & (hidden.tracks["status"] == 0)
+    good = has_momentum(known.tracks) & has_momentum(hidden.tracks)
     pairs = [run.tracks["res_p"][good] for run in (known, hidden)]
     whole = [measure(values).core for values in pairs]
     parts = [measure(pairs[1][i::samples]).core / measure(pairs[0][i::samples]).core for i in range(samples)]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import cgemit as cg
+from cgemit.tables.schema import has_momentum
 from pages.page import Found, Numbers, Page, sample, share_of, table
 
 EVENTS, PARTICLES = 10_000, ("mu-", "mu+")
@@ -91,7 +92,7 @@ def effect(case: Case, particle: str, events: int) -> Effect:
     right, wrong = (
         cg.run(case.flown, gun, events, SEED, fit_detector=believed).tracks for believed in (case.flown, case.believed)
     )
-    both = (right["status"] == cg.FitStatus.ok) & (wrong["status"] == cg.FitStatus.ok)
+    both = has_momentum(right) & has_momentum(wrong)
     numbers = {}
     for name, _, scale in QUANTITIES:
         change = np.asarray(wrong[f"res_{name}"] - right[f"res_{name}"])[both] * scale

@@ -12,7 +12,7 @@ from cgemit.analysis.widths import share_error
 from cgemit.helix import PARAMETERS
 from cgemit.reconstruction.fit import fit
 from cgemit.tables import Table
-from cgemit.tables.schema import FitStatus
+from cgemit.tables.schema import has_momentum
 from pages.page import Found, Numbers, Page, share_of, table
 from pages.scenarios import SCENARIOS, Outcome, run_scenario
 
@@ -125,7 +125,7 @@ def begins(radius: float, n: int) -> list[Begin]:
     run, again, begin = samples(radius, n)
     rows = []
     for name, tracks in (("0", run.tracks), ("of the vertex", again)):
-        good = tracks["status"] == FitStatus.ok
+        good = has_momentum(tracks)
         pull = pulls(run, tracks)
         far = (np.abs(pull) > FAR).any(axis=1)
         outward, inward = (

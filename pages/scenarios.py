@@ -20,7 +20,7 @@ from cgemit.particles.table import particles_from
 from cgemit.reconstruction.fit import fit
 from cgemit.simulation.transport import SimulateSettings
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, FitStatus, is_fitted
+from cgemit.tables.schema import HIT_V, HIT_WIRE, HIT_X, FitStatus, has_momentum, is_fitted
 from cgemit.truth.match import compare
 
 Rows = npt.NDArray[np.int64]
@@ -373,7 +373,7 @@ class Outcome:
     @property
     def good(self) -> Table:
         """The fitted ones of the tracks with enough hits."""
-        picked: Table = self.tracks[self.enough & (self.tracks["status"] == FitStatus.ok)]
+        picked: Table = self.tracks[self.enough & has_momentum(self.tracks)]
         return picked
 
     @property
@@ -386,7 +386,8 @@ class Outcome:
     def removed(self) -> Mapping[str, int]:
         """Tracks with enough hits that are not fitted, by status."""
         status = self.tracks["status"][self.enough]
-        return {s.name: n for s in FitStatus if s != FitStatus.ok and (n := int((status == s).sum()))}
+        good = (FitStatus.ok, FitStatus.large_chi2)
+        return {s.name: n for s in FitStatus if s not in good and (n := int((status == s).sum()))}
 
     def resolution(self, parameter: str) -> Resolution:
         """Return the widths of fitted minus true values; of p relative to the true one."""

@@ -9,6 +9,7 @@ import numpy as np
 import cgemit as cg
 from cgemit.analysis.clusters import PITCH, X_WINDOWS, geant4_runs
 from cgemit.reconstruction.fit import FitSettings
+from cgemit.tables.schema import has_momentum
 from pages.fit import EXACT, MIXED, WITHOUT_DECAYS
 from pages.page import Found, Numbers, Page, share_of
 
@@ -56,7 +57,7 @@ def kinks(share: float) -> Numbers:
     for on in (False, True):
         settings = replace(EXACT, fit=FitSettings(kinks=on))
         tracks = cg.run(DETECTOR, gun, n, SEED, settings=settings, readout="gaussian", keep=("tracks",)).tracks
-        tracks = tracks[tracks["status"] == 0]
+        tracks = tracks[has_momentum(tracks)]
         bias = float(np.mean(tracks["res_kappa"]) / np.sqrt(np.mean(tracks["err_kappa"] ** 2)))
         rows.append(Kinks(on, abs(bias), len(tracks) ** -0.5, float(tracks["iterations"].mean())))
     return Numbers(rows, {"events": f"{n:,} pi-, seed {SEED}"})

@@ -26,6 +26,7 @@ from cgemit import isa as kernels
 from cgemit.base.arrays import Floats
 from cgemit.detector import Detector, load
 from cgemit.study import measure as width_of
+from cgemit.tables.schema import has_momentum
 from pages.page import Numbers
 from pages.performance.peers import (
     acts_field,
@@ -143,7 +144,7 @@ def run_cgemit(detector: Detector, p: float, seed: int, particle: str) -> tuple[
     made = cg.run(detector, cg.Gun(particle, p=p, cos_theta=(-COS_THETA, COS_THETA)), n, seed, until="fit", workers=1)
     start = time.perf_counter()
     tracks = cg.fit(detector, made.clusters, made.wire_hits, made.candidates, made.candidate_hits)["tracks"]
-    return tracks[tracks["status"] == 0], 1e6 * (time.perf_counter() - start) / n
+    return tracks[has_momentum(tracks)], 1e6 * (time.perf_counter() - start) / n
 
 
 def covered(low: Floats, high: Floats) -> float:

@@ -30,6 +30,7 @@ from cgemit.detector import Detector, field_at, load
 from cgemit.detector.matter import slabs
 from cgemit.particles.gun import Gun
 from cgemit.study import measure as width_of
+from cgemit.tables.schema import has_momentum
 from pages.page import MissingToolError, Numbers, say
 from pages.performance.stages import stage_calls
 from pages.performance.timing import DETECTOR, SEED, instruction_set, machine
@@ -366,7 +367,7 @@ def run_cgemit(detector: Detector, p: float, cos_theta: float) -> dict[str, floa
         calls[stage]()
         costs[stage] = 1e6 * (time.perf_counter() - start) / (EVENTS * MUONS)
     tracks = calls["fit"]()["tracks"]
-    good = tracks["status"] == 0
+    good = has_momentum(tracks)
     return {**costs, "sigma_p": width_of(tracks["p"][good] - p).core, "fitted": float(np.mean(good))}
 
 
@@ -383,7 +384,7 @@ def find_cgemit(detector: Detector, tracks: int, p: float, cos_theta: float) -> 
     return {
         "find": 1e6 * (middle - start) / IN_ALL,
         "fit": 1e6 * (end - middle) / IN_ALL,
-        "found": found(fitted["p"], np.where(fitted["status"] == 0, hits, 0), p),
+        "found": found(fitted["p"], np.where(has_momentum(fitted), hits, 0), p),
     }
 
 

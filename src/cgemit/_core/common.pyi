@@ -27,6 +27,7 @@ class FitStatus(enum.IntEnum):
     left_field = 7
     unconstrained = 8
     hits_left_out = 9
+    large_chi2 = 10
 
 class StateStatus(enum.IntEnum):
     ok = 0

@@ -17,7 +17,7 @@ from cgemit.detector.inventory import channels as strips
 from cgemit.reconstruction.find.ckf import SeedLayers, have_seeds, wire_layers
 from cgemit.reconstruction.find.loops import link_loops
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_V, HIT_X, FitStatus
+from cgemit.tables.schema import HIT_V, HIT_X, has_momentum
 from cgemit.tables.show import Shown
 from cgemit.truth.assign import own_clusters
 from cgemit.truth.match import CandidateCounts, MatchStatus, acts, belle2, count_candidates
@@ -377,7 +377,7 @@ def _wrong_in_z(result: Result) -> tuple[Flags, Flags]:
     if "matches" not in result.tables:
         return np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     tracks, matches = result.fitted, result.matches
-    ok = tracks["status"] == FitStatus.ok
+    ok = has_momentum(tracks)
     near = np.abs([matches[f"pull_{name}"] for name in ("dz", "tanl")]).max(axis=0) <= _WRONG
     fitted, right = (np.bincount(tracks["candidate"][which], minlength=n) > 0 for which in (ok, ok & near))
     return fitted, fitted & ~right

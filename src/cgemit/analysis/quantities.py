@@ -18,7 +18,7 @@ from cgemit.analysis.widths import FEWEST
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import did_you_mean
 from cgemit.reconstruction.fit import FitSettings
-from cgemit.tables.schema import FitStatus
+from cgemit.tables.schema import FitStatus, has_momentum
 from cgemit.truth.match import is_matched
 
 #: Places of the 15 entries of the upper triangle in a covariance.
@@ -110,7 +110,7 @@ class Quantity:
         in the other quantities, and in those along z if the error is far below that of the fit's prior.
         """
         status = np.asarray(tracks["status"])
-        ok, weak = status == FitStatus.ok, status == FitStatus.unconstrained
+        ok, weak = has_momentum(tracks), status == FitStatus.unconstrained
         if self.is_momentum or not weak.any():
             return np.asarray(ok)
         along = {"dz": "dz", "tanl": "tanl", "theta": "tanl"}.get(self.name)

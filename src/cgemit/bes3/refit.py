@@ -15,7 +15,7 @@ from cgemit.bes3.events import Bes3Events
 from cgemit.detector import Detector, compiled
 from cgemit.reconstruction.fit import FitSettings, fit
 from cgemit.tables import Table
-from cgemit.tables.schema import PARAMETERS, FitStatus
+from cgemit.tables.schema import PARAMETERS, has_momentum
 
 Kind = Literal["kal", "mdc"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -56,7 +56,7 @@ class Refit:
     @property
     def good(self) -> Column:
         """Whether both fits have succeeded, (n,) bool."""
-        return np.asarray((self.ours["status"] == FitStatus.ok) & (self.boss["status"] == FitStatus.ok))
+        return has_momentum(self.ours) & has_momentum(self.boss)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Return median and half-width of the central 68 % of the differences, by parameter.

@@ -20,7 +20,7 @@ from cgemit.reconstruction.given_hits import hit_tables
 from cgemit.reconstruction.reconstruct import reconstruct
 from cgemit.reconstruction.refine import DriftTimes
 from cgemit.tables import SCHEMAS, Table
-from cgemit.tables.schema import HIT_WIRE, FitStatus
+from cgemit.tables.schema import HIT_WIRE, has_momentum
 from cgemit.truth.match import match
 from cgemit.units import LIGHT
 
@@ -218,7 +218,7 @@ def find_start_times(
     for time in np.asarray(times, np.float64):
         hits = events.clusters, all_wire_hits(events, time, calibration=calibration)
         made = reconstruct(events.detector, *hits, find_tracks, refinements=[DriftTimes()], find_again=False)
-        tracks = made["tracks"][made["tracks"]["status"] == FitStatus.ok]
+        tracks = made["tracks"][has_momentum(made["tracks"])]
         count = np.bincount(tracks["event"], tracks["n_wires"], minlength=n)
         start_times[count > most] = time
         most = np.maximum(most, count)

@@ -24,7 +24,7 @@ from cgemit.particles.species import usual_mass
 from cgemit.reconstruction.fit import FitSettings, compiled_for_fit, fit_columns
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_WIRE, FitStatus
+from cgemit.tables.schema import HIT_WIRE, FitStatus, has_momentum
 
 #: Of the prior of a fit. The fit's own would hold displacements that all tracks follow: 1e4 tracks with an error of
 #: 200 mm of d_rho would tell a common shift to 2 mm.
@@ -159,7 +159,7 @@ def _known_tracks(known: Table, candidate: npt.NDArray[np.int64], mass: Floats) 
     Of the tracks of a candidate with several masses, the one with the mass nearest to that of our fit counts.
     """
     values = np.full((len(candidate), 5), np.nan), np.full((len(candidate), 5, 5), np.nan)
-    rows = np.flatnonzero((known["status"] == FitStatus.ok) & (known["candidate"] >= 0))
+    rows = np.flatnonzero(has_momentum(known) & (known["candidate"] >= 0))
     masses = np.array([usual_mass(int(pdg)) if pdg else np.nan for pdg in known["hypothesis"][rows]])
     for i, one in enumerate(candidate):
         own_rows = np.flatnonzero(known["candidate"][rows] == one)

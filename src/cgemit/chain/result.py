@@ -9,6 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cgemit.base.files import new_folder
 from cgemit.chain.finders import seedless_layers
 from cgemit.chain.record import Run, gun_data, read_run, record, write_about
@@ -30,6 +32,7 @@ from cgemit.simulation.transport import transport_counts
 from cgemit.tables import SCHEMAS, Table, select_events
 from cgemit.tables.check import refuse_wrong
 from cgemit.tables.formats import check_format
+from cgemit.tables.schema import FitStatus
 from cgemit.tables.store import StoredTables, about_of, column_of, write_tables
 from cgemit.tables.table import what
 from cgemit.truth.match import counts_left_out, joined
@@ -251,6 +254,12 @@ class Result:
         match = column_of(self.tables, "matches", "match") if "matches" in self.tables else None
         return counts_left_out(column_of(self.tables, "tracks", "status"), match)
 
+    def large_chi2(self) -> int:
+        """Count the tracks of status `large_chi2`; resolutions, pulls and efficiencies count them."""
+        if "tracks" not in self.tables:
+            return 0
+        return int(np.count_nonzero(column_of(self.tables, "tracks", "status") == FitStatus.large_chi2))
+
     def beyond_search(self) -> int:
         """Count the events whose search for tracks left out seeds at a limit; 0 if the finder does not tell."""
         if "searches" not in self.tables:
@@ -349,7 +358,8 @@ class Result:
             rows.append(("transport", ", ".join(f"{n:,} {name}" for name, n in self.transport().items())))
         if "tracks" in self.tables:
             removed = ", ".join(f"{n:,} {name}" for name, n in self.removed().items()) or "none"
-            rows.append(("tracks", f"{self.rows['tracks']:,} (left out: {removed})"))
+            large = f"; large chi-square: {n:,}" if (n := self.large_chi2()) else ""
+            rows.append(("tracks", f"{self.rows['tracks']:,} (left out: {removed}{large})"))
         rows.append(("rows", ", ".join(f"{name} {number:,}" for name, number in self.rows.items())))
         if self.finder is not None:
             rows.append(("hits", hits_by(self.finder)))

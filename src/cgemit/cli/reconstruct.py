@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.draw.display import event
     from cgemit.reconstruction.refine import StartTimeStatus
     from cgemit.tables.formats import check_format
-    from cgemit.tables.schema import is_fitted
+    from cgemit.tables.schema import FitStatus, is_fitted
     from cgemit.tables.show import text_table
 
     check_free(arguments.output, overwrite=arguments.overwrite)
@@ -88,12 +88,14 @@ def run(arguments: argparse.Namespace) -> int:
     rows = [[format(tracks[name][i], kind) for name, kind in _COLUMNS.items()] for i in range(len(tracks))]
     for row, status in zip(rows, result.start_times["status"][tracks["event"]].tolist(), strict=True):
         row.append(StartTimeStatus(status).name)
+    for row, status in zip(rows, tracks["status"].tolist(), strict=True):
+        row.append(FitStatus(status).name)
     apart = [
         [one.label, str(one.n), f"{one.x:+.2f} ± {one.err_x:.2f}", f"{one.z:+.1f} ± {one.err_z:.1f}"] for one in offsets
     ]
     head = ["layer", "tracks", "X (mm)", "z (mm)"]
     more = [text_table("clusters minus tracks of wires", head, apart)] if offsets else []
-    table = text_table("fitted tracks (mm, rad, GeV/c)", [*_COLUMNS, "start_time"], rows)
+    table = text_table("fitted tracks (mm, rad, GeV/c)", [*_COLUMNS, "start_time", "status"], rows)
     options.say(text if arguments.json else "\n".join([repr(events), repr(result), _left_out(report), *more, table]))
     if not len(tracks):
         raise options.RunFailedError("no track was found and fitted")
@@ -146,7 +148,8 @@ def _about(result: Result, arguments: argparse.Namespace) -> dict[str, Any]:
     report = {
         "version": __version__, "command": arguments.line, "file": str(arguments.file),
         "detector": result.detector.name, "events": result.n_events, "settings": result.settings.to_dict(),
-        "rows": result.rows, "removed": result.removed(), "events_with_start_time": int(times.sum()),
+        "rows": result.rows, "removed": result.removed(), "large_chi2": result.large_chi2(),
+        "events_with_start_time": int(times.sum()),
     }  # fmt: skip
     if result.strip_times is None:
         return report

@@ -244,4 +244,6 @@ def _summary(result: Result) -> dict[str, Any]:
         "seed": result.seed, "settings": result.settings.to_dict(), "transport": result.transport(),
         "rows": result.rows,
     }  # fmt: skip
-    return summary | ({"mass": result.mass, "removed": result.removed()} if "tracks" in result.tables else {})
+    if "tracks" not in result.tables:
+        return summary
+    return summary | {"mass": result.mass, "removed": result.removed(), "large_chi2": result.large_chi2()}

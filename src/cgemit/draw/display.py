@@ -246,14 +246,14 @@ def _tracks(axes: Sequence[Axes], view: EventView) -> None:
             "lw": 1.4,
             "zorder": 3,
         }
-        axes[0].plot(x, y, label=track_label(path.p), **line)
+        axes[0].plot(x, y, label=track_label(path.p, large_chi2=path.large_chi2), **line)
         axes[1].plot(x, y, **line)
         axes[2].plot(z, np.hypot(x, y), **line)
 
 
-def track_label(p: float) -> str:
+def track_label(p: float, *, large_chi2: bool = False) -> str:
     """Return what the legend says about a fitted track with a momentum in GeV/c."""
-    return f"fitted track, p = {p:.3f} GeV/c"
+    return f"fitted track, p = {p:.3f} GeV/c" + (", large chi-square" if large_chi2 else "")
 
 
 def _anode(axes: Axes, view: EventView, number: int) -> None:
@@ -408,7 +408,15 @@ def _lines(plotly: Any, view: EventView) -> list[Any]:
         ("fired V strips", _joined(_strips(view, 1)), COLORS["v"], 3),
         ("hit sense wires", _joined(_wires(view)), "#B0A8A0", 1),
     ]
-    groups += [(track_label(path.p), path.points, TRACK_COLORS[path.row % len(TRACK_COLORS)], 5) for path in view.paths]
+    groups += [
+        (
+            track_label(path.p, large_chi2=path.large_chi2),
+            path.points,
+            TRACK_COLORS[path.row % len(TRACK_COLORS)],
+            5,
+        )
+        for path in view.paths
+    ]
     return [
         plotly.Scatter3d(**_xyz(points), mode="lines", line={"color": color, "width": width}, name=name)
         for name, points, color, width in groups

@@ -22,7 +22,7 @@ from cgemit.particles.species import species
 from cgemit.reconstruction.fit import fit
 from cgemit.reconstruction.states import StateStatus, Surface
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, is_fitted
+from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus, is_fitted
 from cgemit.truth.assign import residuals
 
 if TYPE_CHECKING:
@@ -150,11 +150,14 @@ class Path:
         Momentum at the origin, GeV/c.
     row : int
         Row of the track in the event.
+    large_chi2 : bool
+        Whether neither chance nor the errors of its hits explain its chi-square.
     """
 
     points: Array
     p: float
     row: int
+    large_chi2: bool
 
 
 @dataclass(frozen=True)
@@ -304,7 +307,8 @@ def _paths(part: Result, tracks: Table, states: States, r: float, z: float) -> l
             curve = smooth_curve(points[order], momenta[order])
         else:
             curve = np.stack(helix_points(helix, part.detector.field.bz, r, z), axis=1)
-        paths.append(Path(curve, float(tracks["p"][row]), int(row)))
+        large = bool(tracks["status"][row] == FitStatus.large_chi2)
+        paths.append(Path(curve, float(tracks["p"][row]), int(row), large))
     return paths
 
 

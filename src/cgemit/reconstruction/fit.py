@@ -39,6 +39,7 @@ FiveSpreads = tuple[Spread, Spread, Spread, Spread, Spread]
 _FARTHEST = 1e5  # mm
 Start = Annotated[float, Quantity("length", -_FARTHEST, _FARTHEST)]
 Radius = Annotated[float, Quantity("length", 0, above=True)]
+Chi2Limit = Annotated[float, Check(lambda value: value == 0 or 1 < value < math.inf, "0 or a finite number above 1")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +91,9 @@ class FitSettings(SettingsData):
         Whether a slow track is linearised about its scattered path.
     outlier_pull : float
         A hit this many standard deviations from the track fitted without it is left out. 0: every hit is used.
+    chi2_limit : float
+        Tracks whose chi-square per degree of freedom is larger have the status `large_chi2`, unless chance makes it as
+        large once in 10^6 tracks. 0: none has.
     prior_sigma : tuple of float
         Standard deviations of (dr mm, phi0 rad, kappa (GeV/c)^-1, dz mm, tanl) of the filter's prior. That of kappa
         grows in fields below 0.1 T, so that it stays far above the error of the curvature (docs/methods/fit.md).
@@ -130,6 +134,7 @@ class FitSettings(SettingsData):
     delta_strips: Share = 0.008
     kinks: bool = True
     outlier_pull: Pull = 5.0
+    chi2_limit: Chi2Limit = 6.0
     prior_sigma: FiveSpreads = (200.0, 0.5, 5.0, 1000.0, 2.0)
     beam: tuple[Spread, Spread] | None = None
     momentum: Momentum | None = None
@@ -320,6 +325,7 @@ def fit(
         | ({} if settings.prior_sigma == FitSettings().prior_sigma else {"prior_sigma": list(settings.prior_sigma)})
     }
     columns = _track_columns(out, event, candidate, pdg, charge)
+    columns["status"] = _with_large_chi2(columns, settings.chi2_limit)
     columns["displaced"] = displaced(out["helix"][:, 0], np.asarray(columns["err_dr"]), detector)
     tables = {"tracks": Table("tracks", columns, **cover)}
     if settings.residuals:
@@ -472,7 +478,27 @@ def has_cov(status: npt.NDArray[np.generic]) -> npt.NDArray[np.bool_]:
     ndarray, (n,) bool
     """
     fitted = (FitStatus.ok, FitStatus.not_converged, FitStatus.unconstrained, FitStatus.hits_left_out)
-    return np.isin(status, fitted)
+    return np.isin(status, (*fitted, FitStatus.large_chi2))
+
+
+#: Probability with which chance may make a chi-square that counts as too large: of few degrees of freedom, one in 10^3
+#: is beyond any ratio that many have.
+_CHANCE = 1e-6
+
+
+def _with_large_chi2(tracks: Columns, limit: float) -> Column:
+    """Return the statuses of tracks, of which good fits with a large chi-square are `large_chi2`, (n,) int8."""
+    status, chi2, ndf = (np.asarray(tracks[name]) for name in ("status", "chi2", "ndf"))
+    if limit == 0:
+        return status
+    large = np.flatnonzero((status == FitStatus.ok) & (ndf > 0) & (chi2 > limit * ndf))
+    if not len(large):
+        return status
+    from scipy.special import chdtrc
+
+    status = status.copy()
+    status[large[chdtrc(ndf[large], chi2[large]) < _CHANCE]] = FitStatus.large_chi2
+    return status
 
 
 def _track_columns(out: Out, event: Column, candidate: Column, pdg: Column, charge: Column) -> Columns:

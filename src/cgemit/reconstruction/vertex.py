@@ -20,7 +20,7 @@ from cgemit.detector.channels import checked
 from cgemit.detector.parts import extent
 from cgemit.particles.species import HYPOTHESES, Species
 from cgemit.tables import Table
-from cgemit.tables.schema import FitStatus, is_fitted
+from cgemit.tables.schema import FitStatus, has_momentum, is_fitted
 
 
 @checked("candidates", "tracks", "vertices")
@@ -126,7 +126,7 @@ def pair_tracks(tracks: Table, particles: tuple[str, str] | None = None) -> Rows
     """
     if particles is not None and not _are_hypotheses(particles):
         raise ValueError(f"particles: got {particles!r:.60}, expected two of {', '.join(map(repr, HYPOTHESES))}")
-    good = (tracks["status"] == 0) & np.isfinite(tracks["kappa"])
+    good = has_momentum(tracks) & np.isfinite(tracks["kappa"])
     fitted = [good, good] if particles is None else [good & _of(tracks, name) for name in particles]
     plus, minus = (
         np.flatnonzero(one & (sign * tracks["kappa"] > 0)) for one, sign in zip(fitted, (1, -1), strict=True)
@@ -159,7 +159,7 @@ def checked_pairs(tracks: Table, pairs: npt.ArrayLike | None, particles: tuple[s
         several = known and len(np.unique(tracks["hypothesis"])) > 1 and _several(tracks)
         pairs = pair_tracks.unchecked(tracks, particles if several else None)
         unknown = int(np.count_nonzero(tracks["status"] == FitStatus.unconstrained))
-        if unknown and not np.any(tracks["status"] == FitStatus.ok):
+        if unknown and not np.any(has_momentum(tracks)):
             problems.append(
                 f"pairs: none given, and the curvature of no track measures its charge ({unknown} tracks of status "
                 "unconstrained); expected the rows of pairs"

@@ -208,6 +208,7 @@ def monitor(result: Result) -> RunMonitor:
         counts["strips_outside_of_drift_time"] = outside
     counts |= {f"clusters_{name}": int((result.clusters["view"] == i).sum()) for i, name in enumerate(("x", "v", "xv"))}
     counts |= {"wire_hits": len(result.wire_hits), "tracks": len(tracks)}
+    counts["tracks_with_large_chi2"] = result.large_chi2()
     counts["tracks_with_clusters"] = int(np.count_nonzero(tracks["n_clusters"]))
     angles = lorentz_angles(result) if has_times else None
     return RunMonitor(

@@ -510,7 +510,7 @@ _RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
 #: Statuses of the rows whose numbers count, by table; in other tables all rows count.
 FITTED: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
-        "tracks": (int(FitStatus.ok), int(FitStatus.unconstrained)),
+        "tracks": (int(FitStatus.ok), int(FitStatus.unconstrained), int(FitStatus.large_chi2)),
         **dict.fromkeys(("states", "vertices", "start_times", "strip_times"), (0,)),
     }
 )
@@ -519,11 +519,23 @@ FITTED: Mapping[str, tuple[int, ...]] = MappingProxyType(
 def is_fitted(tracks: Any) -> Flags:
     """Return which tracks were fitted, with a measured momentum or without (`unconstrained`), (tracks,) bool.
 
+    Those of status `large_chi2` count: without them, resolutions, pulls and efficiencies would lose their tails.
+
     Parameters
     ----------
     tracks : Table, or columns by name
     """
     return np.isin(tracks["status"], FITTED["tracks"])
+
+
+def has_momentum(tracks: Any) -> Flags:
+    """Return which tracks were fitted and measure their momentum, whatever their chi-square, (tracks,) bool.
+
+    Parameters
+    ----------
+    tracks : Table, or columns by name
+    """
+    return np.isin(tracks["status"], (FitStatus.ok, FitStatus.large_chi2))
 
 
 #: Links that lead to a row; others are -1 where there is none.

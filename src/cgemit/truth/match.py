@@ -14,7 +14,7 @@ from cgemit.base.arrays import Flags, Floats, Rows
 from cgemit.detector import Detector, compiled, load
 from cgemit.detector.channels import checked
 from cgemit.tables import Table
-from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus, is_fitted
+from cgemit.tables.schema import HIT_WIRE, XV_CLUSTER, FitStatus, has_momentum, is_fitted
 from cgemit.truth.assign import residuals
 from cgemit.truth.origins import particle_rows
 
@@ -382,9 +382,9 @@ def counts_left_out(
     status, match : ndarray, (tracks,) int
         Without a truth, `match` is None.
     fitted : ndarray or None, (tracks,) bool
-        Tracks whose status is no reason to leave them out; None: those of status `ok`.
+        Tracks whose status is no reason to leave them out; None: those of `has_momentum`.
     """
-    fitted = status == FitStatus.ok if fitted is None else fitted
+    fitted = has_momentum({"status": status}) if fitted is None else fitted
     codes, numbers = np.unique(status[~fitted], return_counts=True)
     names = {int(one): one.name for one in FitStatus}
     counts = {names.get(int(code), f"status {code}"): int(n) for code, n in zip(codes, numbers, strict=True)}

@@ -30,6 +30,7 @@ void bind_status(py::module_& module) {
       .value("left_field", FitStatus::left_field)
       .value("unconstrained", FitStatus::unconstrained)
       .value("hits_left_out", FitStatus::hits_left_out)
+      .value("large_chi2", FitStatus::large_chi2)
       .finalize();
   py::native_enum<StateStatus>(module, "StateStatus", "enum.IntEnum",
                                "Whether a fitted track has a state at a requested surface.")

@@ -32,7 +32,8 @@ enum class FitStatus : std::int8_t {
   // the error of the momentum exceeds half of it, or of the one given in matter; or the error of d_z or
   // tan(lambda) exceeds half of that of the filter's prior
   unconstrained = 8,
-  hits_left_out = 9  // more hits are left out than used
+  hits_left_out = 9,  // more hits are left out than used
+  large_chi2 = 10     // chi-square that neither chance nor the errors of the hits explain; set by fit.py
 };
 
 // Whether a fitted track has a state at a requested surface.

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -297,6 +298,8 @@ def test_command(raw, found, tmp_path, capsys):
     assert (out / "event-3.png").stat().st_size > 10_000
     assert {"bes3_tracks.csv", "bes3_points.csv", "bes3_residuals.csv"} < {path.name for path in out.iterdir()}
     summary = json.loads((out / "summary.json").read_text())
+    assert summary["large_chi2"] == np.count_nonzero(found.tracks["status"] == cg.FitStatus.large_chi2)
+    assert len(re.findall(r" ok +ok *$", text, re.MULTILINE)) == EVENTS
     offset = summary["strip_times"]["offset"]
     assert offset["value"] == pytest.approx(found.strip_times.meta["offset"])
     assert summary["events_with_start_time"] == EVENTS

@@ -111,6 +111,7 @@ CASES: dict[str, Case] = {
     "fit.beam": Case((0.1, 5.0), FITTED),
     "fit.components": Case(True, ("components",), {"fit.hypothesis": "e"}),
     "fit.outlier_pull": Case(2.5, FITTED),
+    "fit.chi2_limit": Case(1.01, FITTED, {"fit.matter": False}),
     "fit.momentum": Case(0.1, FITTED, WITHOUT_FIELD | {"find.momentum": 1.0}),
     "fit.prior_sigma": Case((1.0, 0.05, 0.5, 1.0, 0.2), FITTED),
     "refine.drift_times": Case("raw", FOUND),

@@ -111,6 +111,15 @@ def test_tracks_are_drawn_in_colours_of_their_own(result: cg.Result, pair: Any) 
         np.testing.assert_array_equal(line.get_data(), path.points[:, :2].T)
 
 
+def test_a_track_with_a_large_chi_square_says_so(result: cg.Result) -> None:
+    status = result.fitted["status"].copy()
+    status[1] = cg.FitStatus.large_chi2
+    tables = {**result.tables, "tracks": result.fitted.with_columns(status=status)}
+    picture = cg.draw.event(replace(result, tables=tables), 0)
+    labels = [line.get_label() for line in picture.axes[0].lines if line.get_label().startswith("fitted track")]
+    assert [label.endswith(", large chi-square") for label in labels] == [False, True]
+
+
 def test_a_slow_track_meets_its_hits_where_its_helix_misses_them(result: cg.Result) -> None:
     view = view_of(result, 1)
     (path,) = view.paths

@@ -22,7 +22,9 @@ from cgemit.fit_matter import tuned
 from cgemit.particles.gun import Gun, generate
 from cgemit.reconstruction.candidates import collect_hits
 from cgemit.reconstruction.cluster import cluster
+from cgemit.reconstruction.find.loops import link_loops
 from cgemit.reconstruction.fit import PARAMETERS, ClusterErrors, FitSettings, core_arguments, fit
+from cgemit.reconstruction.fit import _with_large_chi2 as with_large_chi2
 from cgemit.simulation.digitize import DigitizeSettings, digitize
 from cgemit.simulation.transport import SimulateSettings, simulate
 from cgemit.tables import Table
@@ -943,3 +945,75 @@ def test_a_wrong_number_is_seen():
     pull = tables["residuals"]["pull"].copy()
     pull[0] = np.nan
     assert fuzz.problems(tables | {"residuals": tables["residuals"].with_columns(pull=pull)})
+
+
+@pytest.fixture(scope="module")
+def too_small():
+    """Muons whose fit takes the errors of wires for a third of what they are; every hit is used."""
+    fit_detector = load("besiii-cgem").with_overrides({"drift_chamber.sigma": "40 um"})
+
+    def run(**changes):
+        settings = cg.Settings(fit=FitSettings(outlier_pull=0.0, **changes))
+        gun = Gun("mu-", p=1.0, cos_theta=(-0.7, 0.7))
+        return cg.run("besiii-cgem", gun, 60, seed=2, settings=settings, fit_detector=fit_detector)
+
+    return run(), run(chi2_limit=0.0)
+
+
+def test_a_chi_square_that_nothing_explains_is_not_ok(too_small):
+    large, unlimited = too_small
+    tracks, others = large.tracks, unlimited.tracks
+    assert (others["status"] == FitStatus.ok).all()
+    beyond = tracks["chi2"] > 6 * tracks["ndf"]
+    assert 0.5 < beyond.mean() < 1
+    assert np.array_equal(tracks["status"] == FitStatus.large_chi2, beyond)
+    assert (tracks["status"][~beyond] == FitStatus.ok).all()
+    for name in set(tracks) - {"status"}:
+        np.testing.assert_array_equal(tracks[name], others[name])
+    assert f"; large chi-square: {beyond.sum()})" in repr(large)
+    assert large.large_chi2() == beyond.sum()
+    assert unlimited.large_chi2() == 0
+
+
+def test_tracks_with_a_large_chi_square_count_as_before(too_small):
+    """In resolutions, pulls, efficiencies, pairs, loops, vertices and alignment: without them tails would be lost."""
+    large, unlimited = too_small
+    assert large.removed() == unlimited.removed() == {}
+    for name in ("dr", "p"):
+        one, other = (cg.resolution(run.tracks, name) for run in too_small)
+        assert one.n == 60
+        assert one == other
+    both = [cg.study.pulls(run.tracks) for run in too_small]
+    assert both[0] == both[1]
+    found = [cg.study.finding(run) for run in too_small]
+    assert np.array_equal(found[0].fitted, found[1].fitted)
+    assert found[0].fitted.all()
+    assert np.array_equal(*(link_loops(run.fitted, -1.0) for run in too_small))
+    events = [run.fitted.with_columns(event=np.repeat(np.arange(30), 2)) for run in too_small]
+    signs = np.tile([1.0, -1.0], 30)
+    mixed = [tracks.with_columns(kappa=np.abs(tracks["kappa"]) * signs, charge=tracks["charge"]) for tracks in events]
+    pairs = [cg.pair_tracks(tracks) for tracks in mixed]
+    assert len(pairs[0]) == 30
+    assert np.array_equal(*pairs)
+    states = [cg.fit(run.detector, *run.fitted_hits, run.candidates, run.candidate_hits,
+                     FitSettings(states=("beam_line",), chi2_limit=limit))["states"]
+              for run, limit in zip(too_small, (1.1, 0.0), strict=True)]  # fmt: skip
+    np.testing.assert_array_equal(states[0]["status"], states[1]["status"])
+
+
+def test_few_degrees_of_freedom_fluctuate():
+    """A ratio of 8 is one in 10^3 of two degrees of freedom, and one in 10^25 of 30."""
+    columns = {"status": np.zeros(4, np.int8), "ndf": np.array([2, 30, 0, 30]), "chi2": np.array([16.0, 240, 0, 170])}
+    assert with_large_chi2(columns, 6.0).tolist() == [0, FitStatus.large_chi2, 0, 0]
+    assert with_large_chi2(columns, 5.0).tolist() == [0, FitStatus.large_chi2, 0, FitStatus.large_chi2]
+    other = columns | {"status": np.full(4, FitStatus.unconstrained)}
+    assert with_large_chi2(other, 6.0).tolist() == [FitStatus.unconstrained] * 4
+    with pytest.raises(ValueError, match=r"chi2_limit: got 1\.0.*expected 0 or a finite number above 1"):
+        FitSettings(chi2_limit=1.0)
+
+
+def test_good_tracks_have_no_large_chi_square():
+    """At most one in a thousand muons, also where they scatter much."""
+    tracks = cg.run("besiii-cgem", Gun("mu-", p=(0.1, 1.0), cos_theta=(-0.8, 0.8)), 4000, seed=5).tracks
+    n = np.count_nonzero(tracks["status"] == FitStatus.large_chi2)
+    assert n <= 4 + 3 * 2

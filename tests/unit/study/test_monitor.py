@@ -1,6 +1,7 @@
 """The page of a run: every number against the tables, pictures against the numbers, and the command."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,6 +33,10 @@ def test_numbers_are_those_of_the_tables(run, page):
     assert counts["strips"] == len(run.digis)
     assert [counts[f"clusters_{name}"] for name in ("x", "v", "xv")] == np.bincount(run.clusters["view"]).tolist()
     assert counts["tracks"] == np.count_nonzero(run.tracks["status"] == 0)
+    status = np.where(np.arange(len(run.tracks)) < 3, cg.FitStatus.large_chi2, run.fitted["status"])
+    tables = {**run.tables, "tracks": run.fitted.with_columns(status=status)}
+    large = cg.study.monitor(replace(run, tables=tables)).counts
+    assert large == counts | {"tracks_with_large_chi2": 3}
     assert counts["tracks_with_clusters"] == np.count_nonzero(run.tracks["n_clusters"] > 0)
     assert sum(one["fired"] for one in page.strips) == len(run.digis)
     row = next(one for one in page.strips if (one["layer"], one["view"]) == ("L1", "V"))

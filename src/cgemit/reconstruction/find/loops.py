@@ -10,6 +10,7 @@ from cgemit.base.errors import report
 from cgemit.helix import PARAMETERS, RADIUS_PER_KAPPA, wrap_angle
 from cgemit.tables import Table
 from cgemit.tables.check import table_problems
+from cgemit.tables.schema import has_momentum
 
 #: Relative change of the momentum from one half turn to another by energy loss, as a standard deviation.
 LOSS = 0.12
@@ -57,7 +58,7 @@ def link_loops(tracks: Table, bz: float) -> Rows:
     first = np.arange(len(tracks))
     if bz == 0:
         return first
-    good = np.flatnonzero(tracks["status"] == 0)
+    good = np.flatnonzero(has_momentum(tracks))
     one, other = _pairs(tracks, good)
     group = _groups(len(tracks), one, other, pair_chi2(tracks, one, other, bz))
     order = np.lexsort((_distance(tracks), group))
