@@ -6,6 +6,7 @@ with the default simulation and binary clusters.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -160,27 +161,32 @@ def blocks(found: Found) -> dict[str, str]:
     """Return what was run, and mean ratios with the number that fail and the one farthest from 1."""
     rows = found["ratios"].rows
     lines, tails = [], [row.ratio for row in rows if row.mode == "default"]
-    for mode, detector in dict.fromkeys((row.mode, row.detector) for row in rows):
-        own = [row for row in rows if (row.mode, row.detector) == (mode, detector)]
-        means = [
-            sum(ratios) / len(ratios)
-            for ratios in ([row.ratio for row in own if row.quantity == quantity] for quantity in QUANTITIES)
-        ]
+    for mode in dict.fromkeys(row.mode for row in rows):
+        own = [row for row in rows if row.mode == mode]
+        by_place: dict[tuple[str, str], list[float]] = {}
+        for row in own:
+            by_place.setdefault((row.detector, row.quantity), []).append(row.ratio)
+        means = [sum(ratios) / len(ratios) for ratios in by_place.values()]
         off = [row for row in own if row.fails]
         worst = max(off, key=lambda row: abs(row.ratio - 1), default=None)
-        span = f"{min(means):.3f} to {max(means):.3f}"
-        lines.append([mode, detector, span, f"{len(off)} of {len(own)}", _text(worst) if worst else "–"])
+        where = Counter(row.detector for row in off).most_common()
+        found_off = ", ".join(f"{number} {detector}" for detector, number in where)
+        lines.append([
+            mode, f"{min(means):.3f} to {max(means):.3f}", f"{len(off)} of {len(own)}", found_off or "–",
+            _text(worst) if worst else "–",
+        ])  # fmt: skip
     return {
         "checks-sample": f"{len(rows) // len(QUANTITIES)} points (preset, particle, momentum, angle), with "
         f"{found['ratios'].about['events']} each",
         "mean-default": f"{sum(tails) / len(tails):.3f}",
         "pipe": _pipe(),
-        "checks": table(["mode", "detector", "mean ratios", "fail", "farthest from 1"], lines),
+        "checks": table(["mode", "mean ratios of a preset", "fail", "in", "farthest from 1"], lines),
     }
 
 
 def _text(row: Ratio) -> str:
-    return f"{with_error(row.ratio, row.error)}, {row.quantity}, {row.particle}, {row.p:g} GeV/c, {row.cos_theta:g}"
+    place = f"{row.detector}, {row.quantity}, {row.particle}, {row.p:g} GeV/c, {row.cos_theta:g}"
+    return f"{with_error(row.ratio, row.error)}, {place}"
 
 
 def failures(found: Found) -> list[str]:

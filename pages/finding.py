@@ -24,6 +24,12 @@ KLOE = "kloe2-like"
 MANY = 0.02
 #: Samples that the page does not show: they are found as muons are.
 AS_MUONS = {"pion of 0.2–2 GeV/c", "kaon of 0.2–2 GeV/c", "proton of 0.3–2 GeV/c"}
+#: Samples in which the chambers differ, shown for the second one.
+DIFFER = (
+    "kaon of 0.2–2 GeV/c that may decay",
+    "muon, p_T of 0.04–0.06 GeV/c", "4 tracks, `bes2009`", "4 tracks, 30 % of the cells", "20 tracks of 0.2–1.5 GeV/c",
+    "64 tracks of 0.2–1.5 GeV/c", "4 pions of 0.1–1 GeV/c, up to 180 mm off the beam line, `bes2009`",
+)  # fmt: skip
 QUANTITIES = ("dr", "phi0", "dz", "tanl", "p")
 
 Particles = Callable[[int, int], Any]
@@ -206,6 +212,7 @@ def blocks(found: Found) -> dict[str, str]:
     tables = []
     for detector in BOTH:
         rows = [row for row in found["rates"].rows if row.detector == detector and row.sample not in AS_MUONS]
+        rows = rows if detector == BOTH[0] else [row for row in rows if row.sample in DIFFER]
         lines = [[row.sample, *_shares(row), f"{row.time / 1000:.2g}"] for row in rows]
         tables.append(table([f"`{detector}`", "findable", "found", "fakes", "clones", "hit purity", "ms"], lines))
     kloe = next(row for row in found["rates"].rows if row.detector == KLOE)

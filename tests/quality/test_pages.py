@@ -265,15 +265,15 @@ def test_a_ratio_that_is_off_is_named() -> None:
     about = covariance.PAGE.read()["ratios"].about
     good = [dataclasses.replace(row, simulated=row.analytic) for row in ratios()]
     text = covariance.PAGE.blocks(covariance.PAGE.read() | {"ratios": Numbers(good, about)})["checks"]
-    assert text.count("| 0 of 336 | – |") == 12
+    assert text.count("| 0 of 2016 | – | – |") == 2
     for mode, limit in (("gaussian", 0.02), ("default", 0.05)):
         row = next(row for row in good if row.mode == mode)
         off = dataclasses.replace(row, simulated=row.analytic / (1 + 1.5 * limit), simulated_error=1e-4 * row.analytic)
         assert off.fails
         assert not dataclasses.replace(off, simulated_error=limit * row.analytic).fails
         text = covariance.PAGE.blocks(covariance.PAGE.read() | {"ratios": Numbers([off, *good], about)})["checks"]
-        place = f"{row.quantity}, {row.particle}, {row.p:g} GeV/c, {row.cos_theta:g}"
-        assert f"| 1 of 337 | {with_error(off.ratio, off.error)}, {place} |" in text
+        place = f"{row.detector}, {row.quantity}, {row.particle}, {row.p:g} GeV/c, {row.cos_theta:g}"
+        assert f"| 1 of 2017 | 1 {row.detector} | {with_error(off.ratio, off.error)}, {place} |" in text
 
 
 @pytest.mark.slow
