@@ -131,6 +131,8 @@ class LorentzAngles(Shown, Tabular):
     assumed, angle, err : ndarray, (n,) float64
         rad, without sign: what the clusters were made with, what the residuals tell, and its error. NaN with fewer than
         20 hits.
+    shift : ndarray, (n,) float64, mm
+        Shift in X from mid-gap to the anode that the clusters were made with; NaN for all together.
 
     Examples
     --------
@@ -145,12 +147,22 @@ class LorentzAngles(Shown, Tabular):
     assumed: Floats
     angle: Floats
     err: Floats
+    shift: Floats
 
     @property
     def overrides(self) -> dict[str, str]:
-        """Settings for `Detector.with_overrides` of the layers whose angle is known."""
-        pairs = zip(self.label[:-1], self.angle[:-1], strict=True)
-        return {f"cgem.{label}.lorentz_angle": f"{angle:.6g} rad" for label, angle in pairs if np.isfinite(angle)}
+        """Settings for `Detector.with_overrides`; layers with too few hits have the angle of all together.
+
+        They keep the shift from mid-gap to the anode: tracks do not tell it from a rotation of the layer, and X of
+        charge from mid-gap stays where it is.
+        """
+        settings = {}
+        for label, alone, shift in zip(self.label[:-1], self.angle[:-1], self.shift[:-1], strict=True):
+            angle = alone if np.isfinite(alone) else self.angle[-1]
+            if np.isfinite(angle):
+                settings[f"cgem.{label}.lorentz_angle"] = f"{angle:.6g} rad"
+                settings[f"cgem.{label}.lorentz_shift"] = f"{shift:.6g} mm"
+        return settings
 
     def columns(self) -> dict[str, Sequence[Any]]:
         """Return the rows as columns."""
@@ -203,21 +215,23 @@ def lorentz_angles(result: Result) -> LorentzAngles:
         raise ValueError(f"lorentz_angles: {detector.name} has no readout with times, expected such as readout='tiger'")
     hits = hit_residuals(result)
     sign = float(np.copysign(1.0, detector.field.bz))
-    tangents, samples = [], []
+    tangents, samples, shifts = [], [], []
     for layer_number, layer in layers:
         drift = layer_drift(layer, detector.field.bz)
         x, times = _pairs(hits.select((hits.layer == layer_number) & hits.counts & np.isfinite(hits.time)))
         per_time = drift.velocity * layer.r_readout / layer.r_mid
         readout = layer.readout
         tangents.append(abs(drift.tan_lorentz) if isinstance(readout, AnalogReadout) and readout.lorentz else 0.0)
+        shifts.append(layer.r_readout * (drift.shift + drift.tan_lorentz * math.log(layer.r_gap_out / layer.r_mid)))
         samples.append(np.array([1 / x.err**2, x.residual, per_time * x.time, per_time * times]))
     tangents.append(float(np.mean(tangents)))
     angles = [_angle([one], sign, tangent) for one, tangent in zip(samples, tangents[:-1], strict=True)]
     angles.append(_angle(samples, sign, tangents[-1]))
     counts = [one.shape[1] for one in samples]
+    angle, err = np.array(angles, np.float64).T
     return LorentzAngles(
-        [*(layer.label for _, layer in layers), "all"], [*counts, sum(counts)], np.arctan(tangents),
-        *np.array(angles, np.float64).T,
+        [*(layer.label for _, layer in layers), "all"], [*counts, sum(counts)], np.arctan(tangents), angle, err,
+        np.array([*shifts, math.nan]),
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from cgemit.bes3.reconstruct import (
 from cgemit.bes3.refit import refit
 from cgemit.cli.main import main
 from cgemit.cli.reconstruct import _fullest as fullest
+from cgemit.helix import at_origin
 from cgemit.reconstruction.refine import StartTimeStatus
 from stats import assert_within
 
@@ -333,3 +334,38 @@ def test_public_events_of_2026():
     assert (found.start_times["status"] == StartTimeStatus.ok).sum() == 5
     assert (found.tracks["n_clusters"] > 0).sum() >= 5
     assert bes3_events.ENDINGS.keys() >= {".raw"}
+
+
+@REAL
+def test_public_simulated_strips(tmp_path):
+    """Errors and Lorentz angle that the ten muons' own tracks tell make their pulls right; the truth is not used."""
+
+    def muons(detector, table):
+        events = read_events(Path(DATA) / "test_cgem.rtraw", detector)
+        settings = replace(SETTINGS, cluster=cg.ClusterSettings(error_factors=table))
+        return events, reconstruct_events(events, settings)
+
+    def off(events, result):
+        particles = events.particles
+        first = [np.flatnonzero((particles["event"] == i) & (particles["pdg"] == -13))[0] for i in range(10)]
+        true = at_origin(particles[np.array(first)], -1.0)[result.tracks["event"]]
+        away = np.stack([result.tracks["dr"] - true[:, 0], result.tracks["dz"] - true[:, 3]])
+        errors = np.stack([result.tracks["err_dr"], result.tracks["err_dz"]])
+        return np.sqrt(np.mean(away**2, axis=1)), np.sqrt(np.mean((away / errors) ** 2, axis=1))
+
+    described = cg.load("besiii-cgem").with_field("besiii").with_readout("tiger")
+    events, first = muons(described, "")
+    assert first.tracks["event"].tolist() == list(range(10))
+    rms, pull = off(events, first)
+    assert (pull > 1.5).all()
+    detector = described
+    for turn in range(2):
+        angles = cg.lorentz_angles(muons(detector, "")[1])
+        table = tmp_path / f"errors-{turn}.csv"
+        detector = described.with_overrides(angles.overrides)
+        cg.cluster_error_factors(muons(detector, "")[1]).save(table)
+    rms_after, pull_after = off(*muons(detector, str(table)))
+    assert 26 < np.degrees(angles.angle[3]) < 33
+    assert (rms_after < rms).all()
+    assert rms_after[1] < 0.55
+    assert (pull_after < 1.25).all()
