@@ -110,7 +110,7 @@ bool Follower::follow(const FindSeed& seed, FoundTrack& track) {
 // and the reference was at most a cell away from the track, so that the cells beside it were seen.
 bool Follower::is_complete(const FoundTrack& track) const {
   if (track.spanned < static_cast<int>(detector_.wires.size()) || track.wires < many_wires ||
-      track.holes > 0 || track.has_gaps() || track.chi2 > good_chi2 * static_cast<double>(track.hits.size()))
+      track.has_gaps() || track.chi2 > good_chi2 * static_cast<double>(track.hits.size()))
     return false;
   std::size_t clusters = 0;
   for (const GroupStep& step : group_.steps) {
@@ -143,6 +143,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
   }
   for (Slot<double>& s : group_.slots) s.met = s.met && s.there;
   links_.clear();
+  noise_.reset();
   branches_.assign(1, {{Five<double>::zero(), prior, 0}, 0, -1, 0, 0, 0, 0, false});
   for (const GroupStep& step : group_.steps) {
     if (!step.is_slab) {
@@ -154,8 +155,7 @@ auto Follower::pass(const Perigee& start, const Symmetric<double>& prior,
       gap_view(step, View::x, forced);
       gap_view(step, View::v, forced);
     }
-    for (Branch& branch : branches_)
-      if (!branch.ended) add_noise_of(step, branch);
+    collect_noise(step);
   }
   const auto best = std::ranges::max_element(branches_, {}, &Branch::score);
   return best->hits >= least_hits ? std::optional(*best) : std::nullopt;
@@ -196,6 +196,7 @@ bool Follower::choose_clusters(const Branch& best) {
            std::ranges::find(before_, s.hit[0]) != before_.end();
   });
   if (near == static_cast<std::ptrdiff_t>(before_.size())) return false;
+  noise_.reset();
   branches_.assign(
       1, {{Five<double>::zero(), Symmetric<double>::diagonal(no_prior), 0}, 0, -1, 0, 0, 0, 0, false});
   for (std::size_t i = group_.steps.size(); i-- > 0;) {
@@ -206,7 +207,7 @@ bool Follower::choose_clusters(const Branch& best) {
       continue;
     }
     const Slab& slab = detector_.slabs[static_cast<std::size_t>(step.slab)];
-    for (Branch& branch : branches_) add_noise_of(step, branch);
+    collect_noise(step);
     if (slab.gap < 0) continue;
     gap_view(step, View::x, {});
     gap_view(step, View::v, {});
@@ -233,6 +234,7 @@ bool Follower::choose_clusters(const Branch& best) {
 
 // A wire of the track, for all branches.
 void Follower::add_wire(std::int32_t number) {
+  add_collected_noise();
   const Slot<double>& wire = slot(number);
   for (Branch& branch : branches_) {
     const Five<double> ch = branch.state.c * wire.row;
@@ -246,13 +248,22 @@ void Follower::add_wire(std::int32_t number) {
   }
 }
 
-void Follower::add_noise_of(const GroupStep& step, Branch& branch) const {
+// The noise of slabs adds up, until the next measurement needs the covariances of the branches.
+void Follower::collect_noise(const GroupStep& step) {
   const bool shifts = detector_.slabs[static_cast<std::size_t>(step.slab)].shifts;
-  const auto noise = static_cast<std::size_t>(step.noise);
+  const auto number = static_cast<std::size_t>(step.noise);
+  if (!noise_) noise_ = Symmetric<double>::diagonal(Five<double>::zero());
   if (group_.dense)
-    add_noise(branch.state.c, group_.dense_noise[noise], shifts);
+    add_noise(*noise_, group_.dense_noise[number], shifts);
   else
-    add_noise(branch.state.c, group_.noise[noise], shifts);
+    add_noise(*noise_, group_.noise[number], shifts);
+}
+
+void Follower::add_collected_noise() {
+  if (!noise_) return;
+  for (Branch& branch : branches_)
+    for (std::size_t i = 0; !branch.ended && i < noise_->v.size(); ++i) branch.state.c.v[i] += noise_->v[i];
+  noise_.reset();
 }
 
 // Whether the branch has the X of a point in this layer, whose V should follow.
@@ -284,6 +295,7 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
   const auto layer = static_cast<std::size_t>(detector_.slabs[static_cast<std::size_t>(step.slab)].gap);
   const double log_density = gap_density_[layer][view == View::x ? 0 : 1];
   next_.clear();
+  add_collected_noise();
   for (const Branch& branch : branches_) {
     const bool tries = !branch.ended;
     for (std::int32_t s = step.first; tries && s < step.last; ++s) {
@@ -314,8 +326,11 @@ CGEMIT_FLATTEN void Follower::gap_view(const GroupStep& step, View view,
 }
 
 void Follower::wires(const GroupStep& step) {
-  for (std::int32_t s = step.first; s < step.last; ++s)
-    if (slot(s).met) wire(slot(s));
+  for (std::int32_t s = step.first; s < step.last; ++s) {
+    if (!slot(s).met) continue;
+    add_collected_noise();
+    wire(slot(s));
+  }
   settle();
 }
 

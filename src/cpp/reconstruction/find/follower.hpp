@@ -76,7 +76,8 @@ class Follower {
   // `chosen_`, and the track with them is `fitted_`.
   bool choose_clusters(const Branch& best);
   void add_wire(std::int32_t number);
-  void add_noise_of(const GroupStep& step, Branch& branch) const;
+  void collect_noise(const GroupStep& step);
+  void add_collected_noise();
   void gap_view(const GroupStep& step, View view, std::span<const std::int32_t> forced);
   bool is_in_point(const Branch& branch, std::size_t layer);
   double pair_score(const Branch& branch, const Slot<double>& v);
@@ -104,7 +105,8 @@ class Follower {
   // in each layer of wires.
   std::vector<std::array<double, 2>> gap_density_;
   std::vector<double> wire_ratio_;
-  std::vector<std::int32_t> fired_;  // cells of each layer when its ratio was computed
+  std::vector<std::int32_t> fired_;         // cells of each layer when its ratio was computed
+  std::optional<Symmetric<double>> noise_;  // of slabs since the last measurement
   std::vector<Branch> branches_, next_;
   std::vector<std::int32_t> order_;  // of branches, the best one first
   std::vector<Link> links_;

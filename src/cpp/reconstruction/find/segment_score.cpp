@@ -22,10 +22,10 @@ double log_sum(double a, double b) { return std::max(a, b) + std::log1p(std::exp
 
 // Gaussian with tails.
 double log_residual(double off, double variance) {
-  static const double core = std::log1p(-tail), far = std::log(tail);
+  static const double core = std::log1p(-tail), far = std::log(tail / tail_width);
   constexpr double wide = tail_width * tail_width;
-  return log_sum(core + log_gaussian(off * off / variance, variance),
-                 far + log_gaussian(off * off / (wide * variance), wide * variance));
+  const double chi2 = off * off / variance;
+  return log_gaussian(0, variance) + log_sum(core - 0.5 * chi2, far - 0.5 * chi2 / wide);
 }
 
 }  // namespace
@@ -107,12 +107,13 @@ double SegmentScore::most_near(double z0) const {
 }
 
 double SegmentScore::of_three(const Scatter& scatter, const std::array<std::int32_t, 3>& v, double off,
-                              double z0) const {
+                              double z0, double least) const {
   const double part = (s_[1] - s_[0]) / (s_[2] - s_[0]);
   const Three weight{1 - part, 1, part};
   double variance = scatter.middle;
   for (std::size_t i = 0; i < 3; ++i) variance += square(weight[i]) * height_variance(i, v[i]);
-  return of_three_ + log_residual(off, variance) + near(scatter, z0);
+  const double of_heights = of_three_ + log_residual(off, variance), most = of_heights + most_near(z0);
+  return most < least ? most : of_heights + near(scatter, z0);
 }
 
 double SegmentScore::of_two(const Scatter& scatter, std::size_t first, std::size_t second, double z0) const {

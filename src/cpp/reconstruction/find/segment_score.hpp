@@ -38,7 +38,9 @@ class SegmentScore {
   }
   // Whether no particle has its middle height so far from the line of the others, in mm.
   bool is_far(const Scatter& scatter, double off) const;
-  double of_three(const Scatter& scatter, const std::array<std::int32_t, 3>& v, double off, double z0) const;
+  // An upper bound, if that is below `least`.
+  double of_three(const Scatter& scatter, const std::array<std::int32_t, 3>& v, double off, double z0,
+                  double least) const;
   // Of heights in two of the layers.
   double of_two(const Scatter& scatter, std::size_t first, std::size_t second, double z0) const;
   // Upper bounds, which cost little.

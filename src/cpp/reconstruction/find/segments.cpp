@@ -219,7 +219,8 @@ void SegmentFinder::lines_of_three(const Circle& circle) {
         const double pairs = low.score + middle.score + high.score;
         const double off = middle.z - low.z - tanl * (s_b - s_a);
         if (pairs < least || score_.is_far(scatter, off)) continue;
-        const double score = pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0);
+        const double score =
+            pairs + score_.of_three(scatter, {low.id, middle.id, high.id}, off, z0, least_score() - pairs);
         if (score > least_score())
           add({circle.d, circle.psi, circle.kappa, z0, tanl}, settings_.max_d,
               {a, low.id, b, middle.id, c, high.id}, -score);
