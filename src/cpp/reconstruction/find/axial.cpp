@@ -121,16 +121,17 @@ template <std::size_t words>
 void AxialSearch::cross(const AxialPoint& point, const Edges& edges, std::size_t from, std::size_t to,
                         std::array<std::uint64_t, block * words>& crossed) const {
   constexpr int rows = 64 * words;
-  const double per_row = rows / (2 * largest_w_) * point.per, shift = point.drift * per_row;
-  std::array<double, block + 1> across;
-  for (std::size_t i = 0; i <= block; ++i)
-    across[i] = (point.y * edges.cosine[i] - point.x * edges.sine[i]) * per_row + rows / 2;
+  const double per_row = rows / (2 * largest_w_) * point.per;
+  const auto shift = static_cast<float>(point.drift * per_row), x = static_cast<float>(point.x * per_row),
+             y = static_cast<float>(point.y * per_row);
+  std::array<float, block + 1> across;
+  for (std::size_t i = 0; i <= block; ++i) across[i] = y * edges.cosine[i] - x * edges.sine[i] + rows / 2;
   std::array<std::array<std::int32_t, block>, 2> first, end;
   for (std::size_t i = 0; i < block; ++i) {
-    const double low = std::min(across[i], across[i + 1]), high = std::max(across[i], across[i + 1]) + 1;
-    const auto bit = [i](double row) {
+    const float low = std::min(across[i], across[i + 1]), high = std::max(across[i], across[i + 1]) + 1;
+    const auto bit = [i](float row) {
       return static_cast<std::int32_t>(i) * rows +
-             static_cast<std::int32_t>(std::min(std::max(row, 0.0), double{rows}));
+             static_cast<std::int32_t>(std::min(std::max(row, 0.0F), float{rows}));
     };
     first[0][i] = bit(low - shift);
     end[0][i] = bit(high - shift);
@@ -155,8 +156,9 @@ void AxialSearch::fill() {
   for (int begin = 0; begin < size; begin += columns) {
     Edges edges;
     for (int i = 0; i <= columns; ++i) {
-      edges.cosine[static_cast<std::size_t>(i)] = std::cos(-pi + (begin + i) * width);
-      edges.sine[static_cast<std::size_t>(i)] = std::sin(-pi + (begin + i) * width);
+      const double psi = -pi + (begin + i) * width;
+      edges.cosine[static_cast<std::size_t>(i)] = static_cast<float>(std::cos(psi));
+      edges.sine[static_cast<std::size_t>(i)] = static_cast<float>(std::sin(psi));
     }
     BitCounts<block * words> counts;  // of one column after the other
     typename BitCounts<block * words>::Bits in_layer{};

@@ -81,7 +81,7 @@ class AxialSearch {
   };
   static constexpr std::size_t block = 32;  // columns that are filled together, at most half of a grid
   struct Edges {
-    std::array<double, block + 1> cosine, sine;
+    std::array<float, block + 1> cosine, sine;
   };
 
   void make_grid();

@@ -89,8 +89,10 @@ class NearbyHits {
     const HelixPoint& there = range.at_wires;
     const double oblique = std::sqrt(there.x * there.x + there.y * there.y) / std::max(there.outward(), 1e-9),
                  beside = std::floor(beside_ * std::min(oblique, most_oblique) + 0.5);
+    std::int64_t next = cell_numbers(layer, begin - side * beside)[0];
     for (double c = -beside; c <= count + beside; c += 1) {
-      const std::int64_t cell = cell_numbers(layer, begin + side * c)[0];
+      const std::int64_t cell = next;
+      next = side < 0 ? (cell > 0 ? cell : layer.cells) - 1 : (cell + 1 < layer.cells ? cell + 1 : 0);
       const std::int32_t id = hits_->at(index, cell);
       const bool crossed = c >= 0 && c <= count && !layer.is_masked(static_cast<std::size_t>(cell));
       if (id < 0 ? !crossed : !taken_ && hits_->is_taken(id)) continue;
