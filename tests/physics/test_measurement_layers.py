@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tomllib
 from typing import Any
@@ -216,8 +215,6 @@ GAUSSIAN = ("besiii-pixel", "stcf-like", "kloe2-like")
 #: One track in a thousand is on the wrong side of many wires, or lacks a hit of the pixels: half of the central 68 %
 #: instead of the RMS.
 CORES = ("besiii-pixel", "kloe2-like")
-#: Where tracks run along the stagger of cells (`test_tracks_along_the_stagger_of_cells`).
-ALONG_CELLS = ("babar-like", 0.3, 0.4)
 #: The fit reports tracks of `kloe2-like` that lose most of their wires (`hits_left_out`).
 LEAST = {"kloe2-like": 0.997}
 
@@ -250,7 +247,7 @@ def barrel_tracks(name: str, p: float, cos_theta: float, n: int = 8000) -> cg.Ta
 def test_barrels_of_other_experiments(name: str, p: float, cos_theta: float) -> None:
     """Presets with the finder: every track, unit pulls, expected resolutions."""
     tracks = barrel_tracks(name, p, cos_theta)
-    width = central if name in CORES or (name, p, cos_theta) == ALONG_CELLS else np.std
+    width = central if name in CORES else np.std
     np.testing.assert_allclose([width(tracks[f"pull_{key}"]) for key in PARAMETERS], 1, atol=0.03)
     expected = cg.analytic(name, "mu-", p=p, cos_theta=cos_theta, readout="gaussian" if name in GAUSSIAN else "binary")
     assert width(tracks["res_dr"]) == pytest.approx(1e-3 * float(expected.sigma_dr), rel=0.03)
@@ -258,25 +255,21 @@ def test_barrels_of_other_experiments(name: str, p: float, cos_theta: float) -> 
     assert width(tracks["res_kappa"]) == pytest.approx(float(np.sqrt(expected.cov[..., 2, 2])), rel=0.03)
 
 
-@pytest.mark.parametrize(
-    ("known", "pt", "low", "high"), [(False, 0.275, 15, 75), (True, 0.275, 0, 0), (False, 0.34, 0, 8)]
-)
-def test_tracks_along_the_stagger_of_cells(known: bool, pt: float, low: int, high: int) -> None:
+@pytest.mark.parametrize("pt", [0.275, 0.34])
+def test_tracks_along_the_stagger_of_cells(pt: float) -> None:
     """Muons of 0.275 GeV/c cross the outer cells of `babar-like` at the angle by which layers are staggered.
 
-    Half a cell of 18.6 mm in 11.9 mm are 38 degrees, the incidence at 0.75 m in 1.5 T. The same side of eight wires in
-    a row is wrong for some: hits are left out, and kappa alone is off. With known sides none is, nor at 0.34 GeV/c.
+    Half a cell of 18.6 mm in 11.9 mm are 38 degrees, the incidence at 0.75 m in 1.5 T. They pass eight wires in a row
+    on one side: the other one, which fits nearly as well, was taken for 2 %, and hits were left out.
     """
     layer = cg.load("babar-like").drift_chamber.layers[-1]
     stagger = math.atan(math.pi * layer.r_mid / layer.cells / 11.9)
     assert (abs(math.asin(0.5 * 750 * 0.2998e-3 * 1.5 / pt) - stagger) < 0.02) == (pt == 0.275)
-    settings = dataclasses.replace(QUIET, digitize=cg.DigitizeSettings(reveal_sides=known))
     gun = cg.Gun("mu-", pt=pt, cos_theta=(-0.005, 0.005), vertex_sigma=(0, 0, 5))
-    tracks = cg.run("babar-like", gun, 2000, 4, settings=settings, finder="truth").tracks
-    assert low <= (tracks["n_outliers"] > 5).sum() <= high
-    others = tracks[tracks["n_outliers"] == 0]
-    assert len(others) > 1800
-    assert others["pull_kappa"].std() == pytest.approx(1, abs=0.07)
+    tracks = cg.run("babar-like", gun, 4000, 4, settings=QUIET, finder="truth").tracks
+    assert (tracks["n_outliers"] > 5).sum() <= 1
+    assert (np.abs(tracks["pull_kappa"]) > 4.5).sum() < 8
+    assert tracks["pull_kappa"].std() == pytest.approx(1, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,7 @@ class BatchFit {
     }
     // A fit that does not converge with kinks is repeated without.
     if (kinks) fit_all(starts, false, false);
+    fit_all(undecided(), false, kinks);
     const int free = is_straight(detector_.bz) ? 4 : 5;  // parameters that the hits determine
     const int spot = settings_.beam[0] > 0 ? 2 : 0;
     for (std::size_t track = 0; track < input_.tracks(); ++track) {
@@ -109,6 +110,11 @@ class BatchFit {
   static bool is_good(const FitRow& row) {
     const int used = row.clusters + row.wires;
     return row.status == FitStatus::ok && row.chi2 < 5 * used + 30 && 2 * row.outliers < used;
+  }
+  // A first helix that is millimetres off at the last wires takes these to be on the wrong side together, or
+  // leaves them out until it is too late for them to return.
+  static bool lost_hits(const FitRow& row) {
+    return row.status == FitStatus::ok && 12 * row.outliers > row.clusters + row.wires;
   }
   // A helix through the few hits that it keeps is not the track of the candidate.
   static void mark_left_out(FitRow& row) {
@@ -174,6 +180,17 @@ class BatchFit {
       const auto seed = seed_helix(detector_, hits(track), sides(track), from, input_.mass[track],
                                    input_.charge[track], settings_.momentum);
       if (seed) starts.push_back({track, key(track), *seed});
+    }
+    return starts;
+  }
+
+  // Tracks that lost hits, from their own helices with all hits and undecided sides.
+  std::vector<Start> undecided() const {
+    std::vector<Start> starts;
+    for (std::size_t track = 0; track < input_.tracks(); ++track) {
+      if (!lost_hits(out_.rows[track])) continue;
+      const std::array<double, 5>& of = out_.rows[track].helix;
+      starts.push_back({track, key(track), {{of[0], of[1] + 0.5 * pi, of[2], of[3], of[4]}, HUGE_VAL}});
     }
     return starts;
   }
