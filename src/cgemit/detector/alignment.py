@@ -7,7 +7,7 @@ import math
 import os
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -25,7 +25,7 @@ from cgemit.detector.drift import relation_of
 from cgemit.detector.keys import Known, once
 from cgemit.detector.layers import Layer
 from cgemit.detector.layers.layer import PLACEMENT
-from cgemit.detector.layers.wires import END_SHIFT, DriftPoint, WireLayer
+from cgemit.detector.layers.wires import END_SHIFT, WIRE_SHIFT, DriftPoint, WireLayer
 from cgemit.detector.parts import Contents
 from cgemit.detector.variants import value_at
 from cgemit.tables.show import Shown, Tabular, with_error
@@ -35,10 +35,11 @@ from cgemit.units import QuantityError, parse_quantity
 STATUSES = ("free", "fixed", "undetermined", "constrained")
 #: ln of the field over that of the description.
 FIELD_SCALE = "field.scale"
-#: Displacement of a sheet of a CGEM layer; of the ends of wires in one pair of end plates, by its first and last layer;
-#: time of the relation of drift distance and time at a distance, of one wire layer or of all.
+#: Displacement of a sheet of a CGEM layer; of an end of a single wire; of the ends of wires in one pair of end plates,
+#: by its first and last layer; time of the relation of drift distance and time at a distance, of one layer or of all.
 _SHEET = re.compile(r"([^.]+\.[^.]+)\.sheets\.(\d{1,3})\.(shift_z|rotation)")
 _OF_SHEETS = ("shift_z", "rotation")
+_WIRE = re.compile(r"(drift_chamber\.layers\.(\d{1,5}))\.wires\.(\d{1,5})\.((?:east|west)_shift_(?:r|phi))")
 _PLATE = re.compile(r"drift_chamber\.plates\.(\d{1,5})-(\d{1,5})\.((?:east|west)_(?:shift_x|shift_y|rotation))")
 _POINT = re.compile(r"drift_chamber\.(?:layers\.(\d{1,5})\.)?drift_relation\.(\d{1,3})mm")
 _COLUMNS = ("name", "unit", "value", "err", "prior", "global_correlation", "status")
@@ -149,6 +150,8 @@ class AlignmentTable(Shown, Tabular):
         return cls(*map(tuple, zip(*constants, strict=True))) if constants else cls(*((),) * 7)
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        if any(".wires." in name for name in self.name):
+            return self._wires()
         rows = []
         for name, unit, value, err, prior, correlation, status in zip(*self.columns().values(), strict=True):
             factor, shown = {"mm": (1e3, "um"), "rad": (1e3, "mrad")}.get(str(unit), (1.0, str(unit)))
@@ -159,6 +162,19 @@ class AlignmentTable(Shown, Tabular):
             shared = f"{correlation:.3f}" if np.isfinite(correlation) else "-"
             rows.append([str(name), shown, shown_value, survey, shared, str(status)])
         return f"{len(rows)} constants", ("constant", "unit", "value", "survey", "correlation", "status"), rows
+
+    def _wires(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        """Return the constants of single wires in one row for each layer and key."""
+        groups = dict[str, list[int]]()
+        for i, name in enumerate(self.name):
+            match = _WIRE.fullmatch(name)
+            groups.setdefault(f"{match[1]}.wires.*.{match[4]}" if match else name, []).append(i)
+        value, err, rows = 1e3 * np.array(self.value), 1e3 * np.array(self.err), []
+        for name, members in groups.items():
+            known = [i for i in members if np.isfinite(err[i])]
+            numbers = (f"{np.sqrt(np.mean(value[known] ** 2)):.4g}", f"{np.median(err[known]):.4g}") if known else "--"
+            rows.append([name, "um", f"{len(known)} of {len(members)}", *numbers])
+        return f"{len(self.name)} constants", ("constants", "unit", "determined", "RMS", "median error"), rows
 
 
 def _number(text: str) -> float | None:
@@ -211,7 +227,7 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
     """
     problems, overrides = list[Problem](), dict[str, object]()
     numbers: dict[str, float] = {}  # several constants may move one
-    sheets: dict[str, list[float]] = {}
+    lists: dict[str, list[float]] = {}
     points: dict[int, dict[int, float]] = {}
     nodes = points_of_relation(detector)
     for name, change in values.items():
@@ -224,18 +240,17 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
             for wires in _wire_layers(detector, point[1]):
                 of_layer = points.setdefault(wires.number, {})
                 of_layer[int(point[2])] = of_layer.get(int(point[2]), 0.0) + change
-        for path, sheet in keys_of_constant(detector, name):
-            if sheet is not None:
-                path_of_layer, _, key = path.rpartition(".")
-                group, _, label = path_of_layer.partition(".")
-                layer = next(one for one in detector.layers if (one.group, one.label) == (group, label))
-                whole = layer.sheet_z if key == "sheet_shift_z" else _turns(layer)
-                sheets.setdefault(path, list(whole))[sheet] += change
+        keys = keys_of_constant(detector, name)
+        for path, entry in keys:
+            if entry is not None:
+                if path not in lists:
+                    lists[path] = _whole_list(detector, path)
+                lists[path][entry] += change
                 continue
             now = value_at(detector, path)
             before = numbers.setdefault(path, float((now[0] if now else 0.0) or 0.0))
             numbers[path] = before * math.exp(change) if name == FIELD_SCALE else before + change
-        if not point and not keys_of_constant(detector, name):
+        if not point and not keys:
             hint = did_you_mean(name, [FIELD_SCALE])
             problems.append(Problem(name, f"{change:g}", "the dotted key of a displacement, or another constant", hint))
         elif point and not known:
@@ -243,12 +258,12 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
                 Problem(name, f"{change:g}", f"a wire layer of the detector, and {nodes[0]} to {nodes[-1]} mm")
             )
     overrides |= {path: Known(value) for path, value in numbers.items()}
-    for path, of_sheets in sheets.items():
+    for path, entries in lists.items():
         now = value_at(detector, path)
-        if now is not None and not all(now[1].low <= one <= now[1].high for one in of_sheets):
-            given = ", ".join(f"{one:g}" for one in of_sheets)
+        if now is not None and (wrong := [one for one in entries if not now[1].low <= one <= now[1].high]):
+            given = ", ".join(f"{one:g}" for one in wrong[:5])
             problems.append(Problem(path, given, f"numbers from {now[1].low:g} to {now[1].high:g}"))
-        overrides[path] = Known(tuple(of_sheets))
+        overrides[path] = Known(tuple(entries))
     for wires in _wire_layers(detector, None):
         if wires.number not in points:
             continue
@@ -260,6 +275,16 @@ def overrides_of(detector: Contents, values: Mapping[str, float]) -> dict[str, o
     if problems:
         raise DetectorError(detector.name, problems)
     return overrides
+
+
+def _whole_list(detector: Contents, path: str) -> list[float]:
+    """Return the entries of a list of all sheets, or of all wires, of a layer."""
+    path_of_layer, _, key = path.rpartition(".")
+    for wires in _wire_layers(detector, None):
+        if wires.path == path_of_layer:
+            return list(getattr(wires, key) or (0.0,) * wires.cells)
+    layer = next(one for one in detector.layers if one.path == path_of_layer)
+    return list(layer.sheet_z if key == "sheet_shift_z" else _turns(layer))
 
 
 def _turns(layer: Layer) -> tuple[float, ...]:
@@ -274,9 +299,12 @@ def _wire_layers(detector: Contents, layer_number: str | None) -> list[WireLayer
 
 
 def keys_of_constant(detector: Contents, name: str) -> list[tuple[str, int | None]]:
-    """Return the keys of a detector file that a constant changes, and the sheet in their list; may be empty."""
+    """Return the keys of a detector file that a constant changes, and the entry of their list; may be empty."""
     if name == FIELD_SCALE:
         return [("field.bz", None)]
+    if match := _WIRE.fullmatch(name):
+        layers = [one for one in _wire_layers(detector, match[2]) if int(match[3]) < one.cells]
+        return [(f"{match[1]}.wires_{match[4]}", int(match[3])) for _ in layers]
     if match := _SHEET.fullmatch(name):
         for layer in detector.layers:
             if layer.path == match[1] and value_at(detector, f"{layer.path}.sheet_{match[3]}"):
@@ -300,12 +328,12 @@ def value_of(detector: Contents, name: str) -> tuple[float, float, float] | None
         times = [_time_at(layer, float(point[2])) for layer in layers]
         return (float(np.mean(times)), -_MOST_TIME, _MOST_TIME) if times else None
     entries = []
-    for path, sheet in keys_of_constant(detector, name):
+    for path, entry in keys_of_constant(detector, name):
         now = value_at(detector, path)
         assert now is not None
         value, key = now
-        if sheet is not None:
-            value = (value[sheet % len(value)] if value else 0.0) or 0.0
+        if entry is not None:
+            value = (value[entry % len(value)] if value else 0.0) or 0.0
         entries.append((float(value or 0.0), key.low, key.high))
     if not entries:
         return None
@@ -541,8 +569,11 @@ def misaligned_values(detector: Contents, seed: int, sizes: Mapping[str, object]
                     spread[f"{path}.{name}"] = of_shift if name.startswith("shift") else of_turn
             continue
         single = [f"{path}.{name}" for path in paths for name in PLACEMENT if _fits(f"{path}.{name}", key)]
+        if ".wires." in key:
+            of_wires = ((f"{one.path}.wires.{i}", way) for one in detector.wires for i, _, way in _places(one))
+            single = [f"{path}.{way}" for path, way in of_wires if _fits(path, key) or _fits(f"{path}.{way}", key)]
         if single:
-            kind = "length" if ".shift" in single[0] else "angle"
+            kind = "length" if "shift" in single[0] else "angle"
             spread |= dict.fromkeys(single, _size(key, size, kind, problems))
             continue
         expected = "a part with a length and an angle, a key of a displacement, or a pattern"
@@ -577,6 +608,11 @@ def _size(path: str, raw: object, kind: str, problems: list[Problem]) -> float:
     return value
 
 
+def _places(layer: WireLayer) -> Iterator[tuple[int, int, str]]:
+    """Yield the numbers of all wires of a layer with those of the displacements of their ends, and their names."""
+    return ((wire, i, key) for wire in range(layer.cells) for i, key in enumerate(WIRE_SHIFT))
+
+
 def displacements_of(detector: Contents) -> AlignmentTable:
     """Return the displacements that a description has; see `Detector.displacements`."""
     names = [f"{path}.{key}" for path in rigid_parts(detector) for key in PLACEMENT]
@@ -584,6 +620,11 @@ def displacements_of(detector: Contents) -> AlignmentTable:
     finer += [f"{one.path}.{key}" for one in detector.wires for key in (*PLACEMENT, *END_SHIFT)]
     known = {name: (value_of(detector, name) or (0.0,))[0] for name in (*names, *finer)}
     names += [name for name in finer if known[name]]
+    for layer in detector.wires:
+        if (shifts := layer.wire_shifts()) is not None:
+            single = {f"{layer.path}.wires.{i}.{key}": float(shifts[i, k]) for i, k, key in _places(layer)}
+            known |= single
+            names += [name for name, value in single.items() if value]
     values = [known[name] for name in names]
     none = (math.nan,) * len(names)
     units = tuple("mm" if "shift" in name else "rad" for name in names)

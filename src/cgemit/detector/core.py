@@ -470,7 +470,7 @@ def _placement_columns(name: str, parts: Sequence[Placed]) -> Columns:
 def wire_table(chamber: DriftChamber | None) -> Columns:
     """Return the wire layers of a chamber as columns (n,): mm, rad; see `WireLayer` in ``detector/detector.hpp``.
 
-    Columns with the names ramp, point and masked have rows of their own, each with the number of its layer.
+    Columns with the names ramp, point, masked and single have rows of their own, each with the number of its layer.
     chamber_shift and chamber_turn are (1, 3) and (1, 9).
     """
     if not chamber:
@@ -479,11 +479,13 @@ def wire_table(chamber: DriftChamber | None) -> Columns:
             _wire_columns((), ())
             | _placement_columns("chamber", [Placed()])
             | {"masked_layer": none, "masked_wire": none}
+            | _single_columns(())
         )
     columns = _wire_columns(chamber.layers, chamber.gid_first) | _placement_columns("chamber", [chamber])
     masked, gid_first = wire_lists(chamber).masked, np.array(chamber.gid_first, np.int32)
     rows = np.searchsorted(gid_first, masked, side="right") - 1
-    return columns | {"masked_layer": rows.astype(np.int32), "masked_wire": masked - gid_first[rows]}
+    columns |= {"masked_layer": rows.astype(np.int32), "masked_wire": masked - gid_first[rows]}
+    return columns | _single_columns(chamber.layers)
 
 
 @once
@@ -504,6 +506,18 @@ def _wire_columns(layers: Sequence[WireLayer], gid_first: Sequence[int]) -> Colu
         zip((f"{end}_{name}" for end in ("east", "west") for name in ("x", "y", "rotation")), shifts, strict=True)
     )
     return columns | _error_columns(layers, columns) | _relation_columns(layers)
+
+
+def _single_columns(layers: Sequence[WireLayer]) -> Columns:
+    """Return the displacements of the ends of single wires, of all wires of a layer with any."""
+    moved = [(i, shifts) for i, layer in enumerate(layers) if (shifts := layer.wire_shifts()) is not None]
+    values = np.concatenate([np.empty((0, 4)), *(shifts for _, shifts in moved)])
+    rows = [np.stack([np.full(len(shifts), i), np.arange(len(shifts))]) for i, shifts in moved]
+    layer_rows, wires = np.concatenate([np.empty((2, 0)), *rows], axis=1).astype(np.int32)
+    names = ("single_east_r", "single_east_phi", "single_west_r", "single_west_phi")
+    return {"single_layer": layer_rows.copy(), "single_wire": wires.copy()} | dict(
+        zip(names, np.ascontiguousarray(values.T), strict=True)
+    )
 
 
 def _relation_columns(layers: Sequence[WireLayer]) -> Columns:

@@ -437,6 +437,8 @@ def _schema_value(key: Key) -> dict[str, Any]:
         return {"description": key.doc, "anyOf": [_schema_value(one) for one in CELLS.values()]}
     if key.kind in OF_LISTS:
         value = _quantity(replace(key, kind=OF_LISTS[key.kind]), limits)
+        if key.kind == "shifts":
+            return {"description": key.doc, "type": "array", "items": value}
         rows = {"type": "array", "minItems": 1, "maxItems": MOST_POINTS, "items": value}
         return {"description": key.doc, "anyOf": [value, rows]}
     if key.kind == "readout":

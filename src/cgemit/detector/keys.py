@@ -142,6 +142,7 @@ class Key(Quantity):
             "angles": "an angle, or a list of angles to use in turn, in rad",
             "mirrors": "z, x or y, or a list of these",
             "lengths": "a length, or a list of lengths to use in turn, in mm",
+            "shifts": "a list with a length for each wire of the layer, in mm",
         }
         text = texts.get(self.kind) or describe(self.kind)
         limits = self.limits()

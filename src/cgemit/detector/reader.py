@@ -35,7 +35,7 @@ from cgemit.detector.shells import Bounded
 from cgemit.units import NATIVE
 
 #: Kinds of lists of values, and of the values.
-OF_LISTS = {"angles": "angle", "lengths": "length"}
+OF_LISTS = {"angles": "angle", "lengths": "length", "shifts": "length"}
 #: Most entries of a list of rates.
 MOST_POINTS = 100
 
@@ -379,6 +379,13 @@ class Reader:
 
     _lengths = _angles
 
+    def _shifts(self, path: str, raw: object, key: Key) -> Any:
+        if not isinstance(raw, list):
+            self.note(path, shown(raw), key.expected())
+            return ()
+        each = Key(OF_LISTS[key.kind], key.low, key.high)
+        return tuple(self.value(f"{path}[{i}]", one, each) for i, one in enumerate(raw))
+
     def _strips(self, path: str, raw: object, key: Key) -> Any:
         if not isinstance(raw, list):
             self.note(path, shown(raw), key.expected())
@@ -430,7 +437,7 @@ def unusable(key: Key) -> Any:
     """Return what stands for a value that could not be read."""
     if key.kind == "stack":
         return (SubLayer(label="", material=UNUSABLE, thickness=UNUSABLE),)
-    return () if key.kind == "channels" else UNUSABLE
+    return () if key.kind in ("channels", "shifts") else UNUSABLE
 
 
 def _only(raw: Mapping[str, Any]) -> str:

@@ -39,6 +39,15 @@ struct MaskedRow {
     return std::tuple(Column("masked_layer", &MaskedRow::layer), Column("masked_wire", &MaskedRow::wire));
   }
 };
+struct ShiftRow {
+  std::int32_t layer, wire;
+  WireShift shift;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("single_layer", &ShiftRow::layer), Column("single_wire", &ShiftRow::wire),
+                      Column("single_", &ShiftRow::shift));
+  }
+};
 // The chamber as a whole.
 struct ChamberRow {
   Placement placement;
@@ -57,6 +66,7 @@ WireTable read_wires(const py::dict& columns, Problems& problems) {
   const auto ramps = Inputs(columns, "wires").read_rows<RampRow>(problems);
   const auto points = Inputs(columns, "wires").read_rows<PointRow>(problems);
   const auto masked = Inputs(columns, "wires").read_rows<MaskedRow>(problems);
+  const auto shifts = Inputs(columns, "wires").read_rows<ShiftRow>(problems);
   const auto chamber = Inputs(columns, "wires", 1).read_rows<ChamberRow>(problems);
   if (!problems.empty()) return table;
   const auto of_layer = [&](std::int32_t layer) -> WireLayer& {
@@ -68,6 +78,11 @@ WireTable read_wires(const py::dict& columns, Problems& problems) {
     WireLayer& its = of_layer(row.layer);
     its.masked.resize(static_cast<std::size_t>(std::max(its.cells, 0)));
     its.masked.at(static_cast<std::size_t>(row.wire)) = 1;
+  }
+  for (const ShiftRow& row : shifts) {
+    WireLayer& its = of_layer(row.layer);
+    its.shifts.resize(static_cast<std::size_t>(std::max(its.cells, 0)));
+    its.shifts.at(static_cast<std::size_t>(row.wire)) = row.shift;
   }
   table.chamber = chamber.front().placement;
   set_moved(table.chamber);
@@ -92,6 +107,9 @@ void check(Problems& problems, const WireTable& table) {
     part.within("efficiency", wires[i].efficiency, 0, 1);
     for (const EndShift& end : {wires[i].east, wires[i].west})
       for (const double one : {end.x, end.y, end.rotation}) part.within("east, west", one, -far, far);
+    for (const WireShift& shift : wires[i].shifts)
+      for (const double one : {shift.east.r, shift.east.phi, shift.west.r, shift.west.phi})
+        part.within("single wires", one, -far, far);
     const std::vector<DriftPoint>& points = wires[i].relation;
     part.within("points of the relation", static_cast<double>(points.size()), 2, far);
     for (std::size_t k = 0; k < points.size(); ++k) {

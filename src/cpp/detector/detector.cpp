@@ -21,10 +21,10 @@ Wire moved_with(const WireLayer& layer, const Placement& chamber, Wire wire) {
   return chamber.moved ? moved(chamber, wire) : wire;
 }
 
-// Every wire is the first one, turned about the beam line, unless an end of the layer is displaced. The sine
+// Every wire is the first one, turned about the beam line, unless ends of wires are displaced. The sine
 // and cosine of the turn follow from those of the wire before.
 PlacedWires wires_of(const WireLayer& layer, const Placement& chamber) {
-  const bool alike = !is_displaced(layer.east) && !is_displaced(layer.west);
+  const bool alike = !is_displaced(layer.east) && !is_displaced(layer.west) && layer.shifts.empty();
   const Wire first = place_wire(layer, 0);
   const double step = 2 * pi / layer.cells, cosine = std::cos(step), sine = std::sin(step);
   std::vector<Wire> placed;

@@ -282,6 +282,22 @@ struct EndShift {
   }
 };
 
+// How far the end of one wire is displaced, before it moves with the others: outward, and along phi.
+struct WireEndShift {
+  double r = 0, phi = 0;  // mm
+
+  static constexpr auto columns() {
+    return std::tuple(Column("r", &WireEndShift::r), Column("phi", &WireEndShift::phi));
+  }
+};
+struct WireShift {
+  WireEndShift east, west;
+
+  static constexpr auto columns() {
+    return std::tuple(Column("east_", &WireShift::east), Column("west_", &WireShift::west));
+  }
+};
+
 // One layer of drift cells around straight, possibly stereo, wires. Cells and their borders are where the
 // description puts them; `placed` are the wires where they are.
 struct WireLayer {
@@ -300,6 +316,7 @@ struct WireLayer {
   // Of each wire, whether it gives no usable hit, since it is dead or hot; empty: none.
   std::vector<std::uint8_t> masked;
   std::vector<DriftPoint> relation;  // both rising; at least two points
+  std::vector<WireShift> shifts;     // of each wire; empty: none
   // Derived from the above: one wire per cell; distance from the beam line is
   // sqrt(waist + flare (z - middle)^2).
   PlacedWires placed;
@@ -311,7 +328,7 @@ struct WireLayer {
   // Between these its wires are neighbours of those of other layers.
   Ends borders{-HUGE_VAL, HUGE_VAL};
 
-  // Masked wires, relation and ramps come in rows of their own.
+  // Masked wires, relation, shifts and ramps come in rows of their own.
   static constexpr auto columns() {
     return std::tuple(Column("number", &WireLayer::number), Column("cells", &WireLayer::cells),
                       Column("r_end", &WireLayer::r_end), Column("z_", &WireLayer::ends),

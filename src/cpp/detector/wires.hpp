@@ -1,6 +1,7 @@
 // Sense wires: straight lines between the end plates, and the cells around them.
 #pragma once
 
+#include <array>
 #include <cmath>
 
 #include "common/angles.hpp"
@@ -15,14 +16,24 @@ namespace cgemit {
 inline Wire place_wire(const WireLayer& layer, int number) {
   const double nominal = layer.phi_east + number * (2 * pi / layer.cells);
   const double east = nominal + layer.east.rotation, west = nominal - layer.twist + layer.west.rotation;
-  const double ex = layer.r_end * (std::cos(east) - std::cos(west)) + (layer.east.x - layer.west.x),
-               ey = layer.r_end * (std::sin(east) - std::sin(west)) + (layer.east.y - layer.west.y),
-               ez = 2 * layer.half_length;
+  double ex = layer.r_end * (std::cos(east) - std::cos(west)) + (layer.east.x - layer.west.x),
+         ey = layer.r_end * (std::sin(east) - std::sin(west)) + (layer.east.y - layer.west.y);
+  const double ez = 2 * layer.half_length;
+  double x = 0.5 * layer.r_end * (std::cos(east) + std::cos(west)) + 0.5 * (layer.east.x + layer.west.x),
+         y = 0.5 * layer.r_end * (std::sin(east) + std::sin(west)) + 0.5 * (layer.east.y + layer.west.y);
+  if (!layer.shifts.empty()) {
+    const WireShift& own = layer.shifts[static_cast<std::size_t>(number)];
+    const auto across = [](const WireEndShift& shift, double azimuth) {
+      const double c = std::cos(azimuth), s = std::sin(azimuth);
+      return std::array{shift.r * c - shift.phi * s, shift.r * s + shift.phi * c};
+    };
+    const auto at_east = across(own.east, east), at_west = across(own.west, west);
+    ex += at_east[0] - at_west[0];
+    ey += at_east[1] - at_west[1];
+    x += 0.5 * (at_east[0] + at_west[0]);
+    y += 0.5 * (at_east[1] + at_west[1]);
+  }
   const double length = std::sqrt(ex * ex + ey * ey + ez * ez);
-  const double x = 0.5 * layer.r_end * (std::cos(east) + std::cos(west)) +
-                   0.5 * (layer.east.x + layer.west.x),
-               y = 0.5 * layer.r_end * (std::sin(east) + std::sin(west)) +
-                   0.5 * (layer.east.y + layer.west.y);
   return {x - layer.middle * (ex / ez), y - layer.middle * (ey / ez), ex / length, ey / length, ez / length};
 }
 

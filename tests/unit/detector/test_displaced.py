@@ -148,6 +148,45 @@ def test_wires_of_a_displaced_layer(layer, moved):
     assert load(tomllib.loads(detector.to_toml())) == detector
 
 
+def test_single_wires():
+    """Ends moved outward and along phi before their end plate turns; other wires of the layer stay."""
+    number = DESIGN.drift_chamber.layers[15].number
+    path = f"drift_chamber.layers.{number}"
+    changes = {"east_shift_r": 0.4, "east_shift_phi": -0.3, "west_shift_r": 0.2, "west_shift_phi": 0.5}
+    values = {f"{path}.wires.7.{key}": value for key, value in changes.items()}
+    others = {f"{path}.east_rotation": 1e-3, f"{path}.west_shift_x": 0.3, f"{path}.shift_y": 0.2}
+    chamber = {f"drift_chamber.{name}": value for name, value in DISPLACED.items()}
+    moved = DESIGN.with_alignment(others | chamber)
+    detector = moved.with_alignment(values)
+    layer = detector.drift_chamber.layers[15]
+    place = Placed(shift_y=0.2)
+    turn = Rotation.from_euler("xyz", [DISPLACED["tilt_x"], DISPLACED["tilt_y"], DISPLACED["rotation"]])
+    ends = []
+    for end, rotation, shift, name in (
+        (DESIGN.drift_chamber.layers[15].end_points(7)[0], 1e-3, 0.0, "east"),
+        (DESIGN.drift_chamber.layers[15].end_points(7)[1], 0.0, 0.3, "west"),
+    ):
+        out = np.array([*end[:2], 0]) / np.hypot(*end[:2])
+        own = end + changes[f"{name}_shift_r"] * out + changes[f"{name}_shift_phi"] * np.array([-out[1], out[0], 0])
+        ends.append(Rotation.from_euler("z", rotation).apply(own) + np.array([shift, place.shift_y, 0.0]))
+    np.testing.assert_allclose(layer.end_points(7), ends, atol=1e-9)
+    chamber_shift = [DISPLACED["shift_x"], DISPLACED["shift_y"], DISPLACED["shift_z"]]
+    assert expected_doca(detector, 15, 7, [turn.apply(end) + chamber_shift for end in ends])
+    before = [turn.apply(end) + chamber_shift for end in moved.drift_chamber.layers[15].end_points(8)]
+    assert expected_doca(detector, 15, 8, before)
+    assert not expected_doca(detector, 15, 7, before)
+    assert load(tomllib.loads(detector.to_toml())) == detector
+    table = detector.displacements()
+    assert DESIGN.with_alignment(table) == detector
+    assert {name: value for name, value in table.values().items() if ".wires." in name} == pytest.approx(values)
+    with pytest.raises(DetectorError, match=f"3 values, expected {layer.cells}, one for each wire"):
+        DESIGN.with_overrides({f"{path}.wires_east_shift_r": ["1 mm", "0 mm", "0 mm"]})
+    with pytest.raises(DetectorError, match=r"wires_west_shift_phi.*from -2 to 2"):
+        DESIGN.with_alignment({f"{path}.wires.0.west_shift_phi": 2.5})
+    with pytest.raises(DetectorError, match=rf"wires\.{layer.cells}\."):
+        DESIGN.with_alignment({f"{path}.wires.{layer.cells}.east_shift_r": 0.1})
+
+
 def expected_doca(detector, layer, wire, ends):
     """Return whether a line comes as close to a wire of the core as to the straight line between two points."""
     east, west = map(np.array, ends)

@@ -104,6 +104,13 @@ def _of_end(kind: str, doc: str, most: float) -> Any:
 
 #: Keys of the displacement of the wires' ends.
 END_SHIFT = ("east_shift_x", "east_shift_y", "east_rotation", "west_shift_x", "west_shift_y", "west_rotation")
+#: Of the displacement of the ends of single wires: outward, and along phi.
+WIRE_SHIFT = ("east_shift_r", "east_shift_phi", "west_shift_r", "west_shift_phi")
+
+
+def _of_each(doc: str) -> Any:
+    """Return the field of displacements of the ends of single wires."""
+    return field(metadata=key("shifts", doc, -FAR, FAR, quiet=True), default=())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +118,9 @@ class WireLayer(Placed, Bounded):
     """One layer of drift cells.
 
     Wire i starts at z_max at azimuth phi_east + 2 pi i/cells and ends at z_min at that azimuth minus the twist, both at
-    radius r_end; it is straight. A displaced end, at +z (east) or -z (west), is turned about the beam line and then
-    shifted; the layer as a whole is then displaced in the chamber, and the chamber with it.
+    radius r_end; it is straight. The ends at +z (east) or -z (west) are displaced wire by wire, outward and along phi
+    where the description has them, then turned together about the beam line, then shifted; the layer as a whole is then
+    displaced in the chamber, and the chamber with it.
 
     Examples
     --------
@@ -173,6 +181,11 @@ class WireLayer(Placed, Bounded):
     west_shift_x: float = _of_end("length", "shift of the wires' ends at -z along x", FAR)  # mm
     west_shift_y: float = _of_end("length", "shift of the wires' ends at -z along y", FAR)  # mm
     west_rotation: float = _of_end("angle", "turn of the wires' ends at -z about the beam axis", ROTATION)  # rad
+    # mm, of every wire; empty: 0
+    wires_east_shift_r: tuple[float, ...] = _of_each("shift of the end at +z of each wire, away from the beam line")
+    wires_east_shift_phi: tuple[float, ...] = _of_each("shift of the end at +z of each wire, along phi")
+    wires_west_shift_r: tuple[float, ...] = _of_each("shift of the end at -z of each wire, away from the beam line")
+    wires_west_shift_phi: tuple[float, ...] = _of_each("shift of the end at -z of each wire, along phi")
     # (first wire, last wire) each.
     dead: WireRanges = field(metadata=key("channels", "wires that never fire", quiet=True), default=())
     hot: WireRanges = field(metadata=key("channels", "wires that fire in every event", quiet=True), default=())
@@ -250,6 +263,14 @@ class WireLayer(Placed, Bounded):
         """Displacement of the ends, (6,): x, y (mm) and rotation (rad) of those at +z, then of those at -z."""
         return tuple(getattr(self, name) for name in END_SHIFT)
 
+    @once
+    def wire_shifts(self) -> Floats | None:
+        """Return the displacements of the ends of single wires, (cells, 4) mm as in `WIRE_SHIFT`; None: none."""
+        given = [getattr(self, f"wires_{name}") for name in WIRE_SHIFT]
+        if not any(map(any, given)):
+            return None
+        return np.stack([np.array(one or np.zeros(self.cells)) for one in given], axis=1)
+
     def wire_ends(self, wires: Any) -> Floats:
         """Return the ends of wires in the axes of the chamber, (n, 2, 3) mm: those at +z, then those at -z.
 
@@ -259,9 +280,16 @@ class WireLayer(Placed, Bounded):
         """
         nominal = self.phi_east + 2 * math.pi * np.asarray(wires) / self.cells
         (low, high), shifts = self.ends, (self.end_shift[:3], self.end_shift[3:])
-        ends = []
-        for azimuth, z, (x, y, turn) in zip((nominal, nominal - self.twist), (high, low), shifts, strict=True):
-            across = self.r_end * np.cos(azimuth + turn) + x, self.r_end * np.sin(azimuth + turn) + y
+        single, ends = self.wire_shifts(), []
+        for i, (azimuth, z, (x, y, turn)) in enumerate(
+            zip((nominal, nominal - self.twist), (high, low), shifts, strict=True)
+        ):
+            r, aside = self.r_end, 0.0
+            if single is not None:
+                out, aside = np.moveaxis(single[wires, 2 * i : 2 * i + 2], -1, 0)
+                r = r + out
+            c, s = np.cos(azimuth + turn), np.sin(azimuth + turn)
+            across = r * c - aside * s + x, r * s + aside * c + y
             ends.append(np.stack([*across, np.full_like(across[0], z)], axis=-1))
         points = np.stack(ends, axis=-2)
         return points @ self.turn + self.shift if self.is_moved else points
@@ -283,6 +311,9 @@ class WireLayer(Placed, Bounded):
         if abs(self.twist) > math.pi / 2:
             given = f"{self.twist_cells:g} cells of {self.cells}"
             problems.append(Problem(f"{self.path}.twist_cells", given, "at most a quarter turn"))
+        for name in WIRE_SHIFT:
+            if (n := len(getattr(self, f"wires_{name}"))) not in (0, self.cells):
+                problems.append(Problem(f"{self.path}.wires_{name}", f"{n} values", f"{self.cells}, one for each wire"))
         for name in ("dead", "hot"):
             for i, (first, last) in enumerate(getattr(self, name)):
                 if first > last or last >= self.cells:
