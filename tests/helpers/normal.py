@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 import cgemit as cg
 from cgemit import _core
-from cgemit.calibration.constants import Constant, columns_of, constants_of
+from cgemit.calibration.constants import Constant, columns_of, constants_of, of_single_wires
 from cgemit.detector.layers.layer import PLACEMENT
 from cgemit.fit_matter import tuned
 from dense import ERROR, PRIOR
@@ -49,7 +49,7 @@ def summed(
     core: _core.detector.Detector, detector: cg.Detector, helix: Floats, hits: dict[str, Any],
     constants: tuple[Constant, ...], *, scalar: bool = False,
 ) -> dict[str, Any]:  # fmt: skip
-    n = len(hits["kind"])
+    n, single = len(hits["kind"]), of_single_wires(constants)
     wire = hits["kind"] == 2
     used = {
         "used": np.ones(n, np.uint8), "used_variance": hits["sigma"] ** 2,
@@ -59,5 +59,5 @@ def summed(
         core, columns=columns_of(detector, constants), hit_offsets=np.array([0, n]), hits=hits | used,
         reference=np.atleast_2d([helix[0], helix[1] + 0.5 * np.pi, *helix[2:]]), kinks=np.zeros((1, 2 * core.n_slabs)),
         mass=np.array([MUON]), charge=np.ones(1), matter_p=np.zeros(1), start_radius=np.zeros(1),
-        prior_sigma=list(PRIOR), bias=True, scalar=scalar,
+        prior_sigma=list(PRIOR), bias=not single, scalar=scalar, blocks=[0, len(constants)] if single else [],
     )  # fmt: skip

@@ -7,7 +7,8 @@ import numpy.typing as npt
 from cgemit._core.detector import Detector
 
 # `normal` (n, n), `right` and `measured` (n,): sums over the tracks; and of each track `used`, `hits`, `chi2`,
-# `helix` (5), `cov` (5, 5) and, if requested, `bias` (n, 5).
+# `helix` (5), `cov` (5, 5) and, if requested, `bias` (n, 5). Of single wires, with the first columns of blocks and the
+# number of columns in `blocks`: the blocks by their numbers instead of `normal`, and `column_hits` (n,).
 def sums(
     detector: Detector,
     *,
@@ -24,5 +25,6 @@ def sums(
     bias: bool = False,
     scattering: bool = True,
     innovations: bool = False,
+    blocks: Sequence[int] = [],
     scalar: bool = False,
 ) -> dict[str, Any]: ...

@@ -219,7 +219,7 @@ def align(
     with pool_of(Workers(threads=threads)) as pool:
         for turn in range(settings.iterations):
             pull = settings.outlier_pull[min(turn, len(settings.outlier_pull) - 1)]
-            sums = Sums.none(len(free))
+            sums = Sums.none(before, free)
             for source in sources:
                 tables = tables_of(source, now)
                 tuned = replace(source.fit, outlier_pull=pull)
@@ -251,7 +251,7 @@ def align(
 
     at_end = solution.determined & ((total == low) | (total == high))
     at_limits = tuple(one.name for one, end in zip(free, at_end, strict=True) if end)
-    improvement = float(total @ solution.information @ total)
+    improvement = float(total @ (solution.information @ total))
     result = Alignment(
         solution.table(total, fixed), now, before, replace(solution, value=total), tuple(history), improvement,
         _survival(improvement, float(np.count_nonzero(solution.determined))), converged, at_limits,

@@ -17,7 +17,7 @@ from cgemit.detector.alignment import hat, points_of_relation
 from cgemit.detector.drift import relation_of
 from cgemit.detector.layers import CgemLayer
 from cgemit.detector.layers.layer import PLACEMENT
-from cgemit.detector.layers.wires import END_SHIFT
+from cgemit.detector.layers.wires import END_SHIFT, WIRE_SHIFT
 from cgemit.detector.readouts import AnalogReadout
 from cgemit.units import QuantityError, parse_quantity
 
@@ -56,7 +56,7 @@ class Constant:
         return self.name.rpartition(".")[2]
 
 
-def constants_of(detector: Detector, plates: Sequence[int] = ()) -> tuple[Constant, ...]:
+def constants_of(detector: Detector, plates: Sequence[int] = (), *, wires: bool = False) -> tuple[Constant, ...]:
     """Return all constants of a detector, from the beam line outward.
 
     Parameters
@@ -64,8 +64,27 @@ def constants_of(detector: Detector, plates: Sequence[int] = ()) -> tuple[Consta
     detector : Detector
     plates : sequence of int
         Numbers of wire layers that share a pair of end plates, from the inside.
+    wires : bool
+        Whether also of the ends of single wires, after the others.
     """
-    return tuple(_constants(detector, plates))
+    return (*_constants(detector, plates), *(_single(detector) if wires else ()))
+
+
+def _single(detector: Detector) -> Iterator[Constant]:
+    for i_layer, layer in enumerate(detector.wires):
+        for wire in range(layer.cells):
+            for i, key in enumerate(WIRE_SHIFT):
+                yield Constant(f"{layer.path}.wires.{wire}.{key}", "mm", (("single", (i_layer, wire, i)),))
+
+
+def of_single_wires(constants: Sequence[Constant]) -> bool:
+    """Tell whether constants are those of single wires.
+
+    Parameters
+    ----------
+    constants : sequence of Constant
+    """
+    return bool(constants) and constants[0].columns[0][0] == "single"
 
 
 def _constants(detector: Detector, plates: Sequence[int]) -> Iterator[Constant]:
@@ -139,6 +158,8 @@ def matches(constant: Constant, pattern: str) -> bool:
     """
     if _fits(constant.name, pattern):
         return True
+    if constant.columns[0][0] == "single":
+        return _fits(constant.part, pattern)
     displaces = constant.key in (END_SHIFT if ".plates." in constant.name else PLACEMENT)
     return displaces and _fits(constant.part, pattern)
 
@@ -210,7 +231,7 @@ def columns_of(detector: Detector, constants: Sequence[Constant]) -> dict[str, A
     detector : Detector
         With the present displacements.
     constants : sequence of Constant
-        Column i belongs to number i.
+        Column i belongs to number i, of single wires to number i of `neighbours`.
     """
     layers = len(detector.layers)
     chamber = detector.drift_chamber
@@ -222,14 +243,38 @@ def columns_of(detector: Detector, constants: Sequence[Constant]) -> dict[str, A
         "z_scale": (layers,), "drift": changes.shape[:2], "field": (1,),
     }  # fmt: skip
     arrays: dict[str, Ints] = {name: np.full(shape, -1, np.int32) for name, shape in shapes.items()}
-    for column, one in enumerate(constants):
-        for name, at in one.columns:
-            arrays[name][at] = column
+    single = [np.full((layer.cells, len(WIRE_SHIFT)), -1, np.int32) for layer in wires]
+    of_single = of_single_wires(constants)
+    if of_single:
+        for column, i in enumerate(neighbours(detector, constants).tolist()):
+            layer_number, *at = constants[i].columns[0][1]
+            single[layer_number][tuple(at)] = column
+    else:
+        for column, one in enumerate(constants):
+            for name, place in one.columns:
+                arrays[name][place] = column
     return {name: array.ravel() for name, array in arrays.items()} | {
+        "single": [one.ravel() for one in single] if of_single else [],
         "columns": len(constants), "chamber_shift": np.zeros(3) if chamber is None else chamber.shift,
         "chamber_turn": (np.eye(3) if chamber is None else chamber.turn).ravel(),
         "drift_change": changes, "drift_step": _DRIFT_STEP,
     }  # fmt: skip
+
+
+def neighbours(detector: Detector, constants: Sequence[Constant]) -> Ints:
+    """Return the numbers of constants of single wires by the azimuth of the wires in their middle, (n,).
+
+    Parameters
+    ----------
+    detector : Detector
+    constants : sequence of Constant
+    """
+    layers = detector.wires
+    layer, wire = np.array([one.columns[0][1][:2] for one in constants]).T
+    first = np.array([one.phi_east - 0.5 * one.twist for one in layers])
+    cells = np.array([one.cells for one in layers])
+    phi = (first[layer] + 2 * np.pi * wire / cells[layer]) % (2 * np.pi)
+    return np.lexsort((layer, phi))
 
 
 def _drift_changes(detector: Detector, constants: Sequence[Constant]) -> Floats:

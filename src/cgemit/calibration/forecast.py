@@ -13,7 +13,7 @@ from cgemit.analysis.quantities import UPPER, quantity_of
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import Problems
 from cgemit.base.validate import is_whole
-from cgemit.calibration.constants import columns_of
+from cgemit.calibration.constants import columns_of, of_single_wires
 from cgemit.calibration.modes import Determined, Solution, solve
 from cgemit.calibration.settings import AlignmentSettings, plan_of
 from cgemit.calibration.sums import WIDER, Sums, as_fitted, core_sums, expected_sums
@@ -28,6 +28,7 @@ from cgemit.simulation.digitize import DigitizeSettings
 
 #: Most events of a sample that are followed; they stand for all.
 MOST_EVENTS = 4000
+_FOR_WIRES = 10  # times as many for single wires, of which each track has few
 _SAMPLES = 127  # tracks of a point, averaged over azimuth
 
 
@@ -100,6 +101,7 @@ class AlignmentForecast(Determined):
         ndarray, (tracks, 15) float64
             The upper triangle; NaN for tracks without hits.
         """
+        cov_of_constants = self.cov
         n, core = len(tracks.kappa), compiled_for_fit(tracks.detector, tracks.fit)
         zero = np.zeros(n)
         phi0 = helix.wrap_angle(tracks.phi - 0.5 * np.pi)
@@ -110,10 +112,13 @@ class AlignmentForecast(Determined):
         columns = columns_of(tracks.detector, self.solution.constants)
         bias = core_sums(core, columns, offsets, hits, of_tracks, good, prior, bias=True)["bias"]
         cov = np.full((n, 15), np.nan)
-        cov[good] = np.einsum("nci,cd,ndj->nij", bias, self.cov, bias, optimize=True)[:, UPPER[0], UPPER[1]]
+        cov[good] = np.einsum("nci,cd,ndj->nij", bias, cov_of_constants, bias, optimize=True)[:, UPPER[0], UPPER[1]]
         return cov
 
     def _table(self) -> tuple[str, tuple[str, ...], list[list[str]]]:
+        if self.solution.matrix is None:
+            title, head, lines = self.table._table()
+            return f"{self.detector.name}: errors of {title} from {self.sums.tracks} tracks", head, lines
         rows = []
         for name, unit, err, correlation, status in zip(
             self.table.name, self.table.unit, self.table.err, self.table.global_correlation, self.table.status,
@@ -145,7 +150,7 @@ def alignment_forecast(
     """Forecast the errors of constants from samples of tracks, without simulation.
 
     The tracks are those that the samples shoot, with their own directions and vertices. Each is expected to leave the
-    hits of `analytic`. Up to 4000 events of a sample are followed and stand for all.
+    hits of `analytic`. Up to 4000 events of a sample, 40 000 for single wires, are followed and stand for all.
 
     Parameters
     ----------
@@ -190,10 +195,10 @@ def alignment_forecast(
             problems.note(f"samples[{i}]", repr(pair[1])[:80], "a whole number of events, at least 1")
     problems.report("alignment_forecast")
     free, fixed, priors = plan_of(detector, settings)
-    total = Sums.none(len(free))
+    total = Sums.none(detector, free)
     with pool_of(Workers(threads=threads)) as pool:
         for i, (source, events) in enumerate(pairs):
-            followed = min(events, MOST_EVENTS)
+            followed = min(events, MOST_EVENTS * (_FOR_WIRES if of_single_wires(free) else 1))
             # Samples share no direction.
             sums = expected_sums(
                 detector, source, followed, free, fit, seed=seed + i, reveal_sides=reveal_sides,

@@ -94,7 +94,7 @@ def write_mille(
     free, _, priors = plan_of(described, settings)
     binary, steering = Path(path), Path(path).with_suffix(".txt")
     with new_file(binary, overwrite=overwrite) as records, new_file(steering, overwrite=overwrite) as text:
-        sums, events = Sums.none(len(free)), list[tuple[int, Rows]]()
+        sums, events = Sums.none(described, free), list[tuple[int, Rows]]()
         with pool_of(Workers(threads=threads)) as pool:
             for run_number, source in enumerate(sources):
                 tuned = replace(source.fit, outlier_pull=settings.outlier_pull[-1])

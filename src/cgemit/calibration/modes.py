@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit.base.arrays import Floats
+from cgemit.calibration.blocks import Blocks, Factor
 from cgemit.calibration.constants import LORENTZ, Z_SCALE, Constant
 from cgemit.calibration.sums import Sums
 from cgemit.detector import Detector
 from cgemit.detector.alignment import PATTERNS, AlignmentTable, pattern_values, points_of_relation, value_of
-from cgemit.detector.layers.layer import PLACEMENT
+from cgemit.detector.layers.layer import FAR, PLACEMENT
 from cgemit.detector.layers.wires import END_SHIFT
 from cgemit.tables.show import Shown, Tabular
 
@@ -26,6 +27,12 @@ _ROUNDING = 1e-10
 _VELOCITY = 0.03  # mm/ns, typical of drifting electrons
 #: Share of a constant in a zero mode from which on it is not determined.
 _PART = 1e-4
+#: The same as `_NONE` for single wires, whose rows are those of wires where they are; priors of tracks have up to 1e-8.
+_NONE_OF_WIRES = 3e-8
+#: Hits that a single wire needs.
+LEAST_HITS = 10
+#: Added to the information on a constant of a single wire, in units of that with known tracks.
+_HELD = 1e-12
 
 
 def known_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, Floats]:
@@ -175,33 +182,48 @@ class Solution:
         Free ones.
     value : ndarray, (n,) float64
         To be added to the description: mm, rad or 1; 0 for those that are not determined.
-    cov : ndarray, (n, n) float64
-        0 in the zero modes.
+    variance : ndarray, (n,) float64
+    matrix : ndarray, (n, n) float64, or None
+        Covariance, 0 in the zero modes; None: of single wires.
     status : tuple of str
         As in `AlignmentTable`.
     prior : ndarray, (n,) float64
         Errors of surveys; NaN: none.
     zero_modes : tuple of str
         Names of the combinations that the data do not determine.
-    information : ndarray, (n, n) float64
+    information : ndarray, (n, n) float64, or Blocks
         Of data and surveys.
     """
 
     detector: Detector
     constants: tuple[Constant, ...]
     value: Floats
-    cov: Floats
+    variance: Floats
+    matrix: Floats | None
     status: tuple[str, ...]
     prior: Floats
     zero_modes: tuple[str, ...]
     zeros: Floats
-    information: Floats
+    information: Floats | Blocks
     measured: Floats
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the constants."""
         return tuple(one.name for one in self.constants)
+
+    @property
+    def cov(self) -> Floats:
+        """Covariance, (n, n) float64; 0 in the zero modes.
+
+        Raises
+        ------
+        ValueError
+            If the constants are those of single wires, of which only the diagonal is computed.
+        """
+        if self.matrix is None:
+            raise ValueError("single wires have errors, and neither a covariance nor modes")
+        return self.matrix
 
     @property
     def determined(self) -> npt.NDArray[np.bool_]:
@@ -211,12 +233,12 @@ class Solution:
     @cached_property
     def err(self) -> Floats:
         """Standard deviations, (n,); NaN without a number."""
-        return np.where(self.determined, np.sqrt(np.maximum(np.diagonal(self.cov), 0)), np.nan)
+        return np.where(self.determined, np.sqrt(np.maximum(self.variance, 0)), np.nan)
 
     @property
     def global_correlation(self) -> Floats:
         """Correlation of each constant with all others together, (n,); NaN without a number."""
-        both = np.diagonal(self.cov) * np.diagonal(self.information)
+        both = self.variance * self.information.diagonal()
         with np.errstate(invalid="ignore", divide="ignore"):
             found = np.sqrt(np.clip(1 - 1 / both, 0, 1))
         return np.where(self.determined, found, np.nan)
@@ -273,7 +295,7 @@ class Determined(Shown, Tabular):
 
     @property
     def cov(self) -> Floats:
-        """Covariance of the free constants, (n, n) float64; 0 in the zero modes."""
+        """Covariance of the free constants, (n, n) float64; 0 in the zero modes. A ValueError for single wires."""
         return self.solution.cov
 
     @property
@@ -349,6 +371,8 @@ def solve(
     n = len(constants)
     prior = np.array([priors.get(one.name, np.nan) for one in constants])
     survey = np.where(np.isfinite(prior), 1 / prior**2, 0.0)
+    if isinstance(sums.normal, Blocks):
+        return _solve_wires(detector, constants, sums, sums.normal, prior, offset, constrain=constrain, zero=zero)
     seen = (sums.measured > 0) & ~np.isin([one.name for one in constants], unseen)
     known = seen | (survey > 0)
     scale = np.zeros(n)
@@ -394,10 +418,81 @@ def solve(
     status = np.where(~known, "undetermined", np.where(in_zero, "constrained" if constrain else "undetermined", "free"))
     value = scale * (inverse @ right)
     value[status == "undetermined"] = 0.0
-    physical = open_ * scale
+    physical, cov = open_ * scale, inverse * scale[:, None] * scale
     return Solution(
-        detector, tuple(constants), value, inverse * scale[:, None] * scale, tuple(map(str, status)), prior,
+        detector, tuple(constants), value, np.diagonal(cov), cov, tuple(map(str, status)), prior,
         open_names, physical, sums.normal + np.diag(survey), sums.measured,
+    )  # fmt: skip
+
+
+def _wire_modes(detector: Detector, constants: Sequence[Constant]) -> dict[str, Floats]:
+    """Return displacements of the chamber as those of the ends of its wires, each (constants,) mm, by name."""
+    moved = dict[str, list[Floats]]()
+    for layer in detector.wires:
+        ends = layer.wire_ends(np.arange(layer.cells))  # (wires, end, 3)
+        slope = (ends[:, 0, :2] - ends[:, 1, :2]) / (ends[:, 0, 2] - ends[:, 1, 2])[:, None]
+        phi = np.arctan2(ends[..., 1], ends[..., 0])
+        outward = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+        for axis, letter in enumerate("xyz"):
+            unit = np.eye(3)[axis]
+            turn = "rotation" if letter == "z" else f"tilt_{letter}"
+            for key, at in ((f"shift_{letter}", np.broadcast_to(unit, ends.shape)), (turn, np.cross(unit, ends))):
+                # A wire that moves along the beam lies where one moves across it, by its slope.
+                across = at[..., :2] - at[..., 2:] * slope[:, None, :]
+                radial = np.sum(across * outward, axis=-1)
+                along_phi = outward[..., 0] * across[..., 1] - outward[..., 1] * across[..., 0]
+                values = np.stack([radial, along_phi], axis=-1).reshape(layer.cells, 4)
+                moved.setdefault(f"common {key}", []).append(values)
+    first = np.cumsum([0, *(layer.cells for layer in detector.wires)])
+    layer_of, wire, key_of = np.array([one.columns[0][1] for one in constants]).T
+    return {name: np.concatenate(values)[first[layer_of] + wire, key_of] for name, values in moved.items()}
+
+
+def _solve_wires(
+    detector: Detector, constants: Sequence[Constant], sums: Sums, normal: Blocks, prior: Floats,
+    offset: Floats | None, *, constrain: bool, zero: Sequence[str],
+) -> Solution:  # fmt: skip
+    """Solve the normal equations of single wires, in blocks of neighbours.
+
+    Zero modes are 0 in the solution. Wires with few hits, and constants with an error beyond their range, have no
+    number; they stay free, so that their hits do not pull the others.
+    """
+    n = len(constants)
+    survey = np.where(np.isfinite(prior), 1 / prior**2, 0.0)
+    measured = sums.measured + survey
+    known = measured > 0
+    scale = np.where(known, 1 / np.sqrt(np.where(known, measured, 1.0)), 0.0)
+    right = (sums.right - survey * (0.0 if offset is None else offset)) * scale
+    information = normal.scaled(np.ones(n), survey)
+    # A constant without information stands alone; one that others determine exactly is held by rounding.
+    matrix = normal.scaled(scale, survey * scale**2 + np.where(known, _HELD, 1.0))
+    names, zeros = [], np.zeros((0, n))
+    for name, vector in _wire_modes(detector, constants).items():
+        scaled = np.divide(vector, scale, out=np.zeros(n), where=scale > 0)
+        inside = scaled * scale
+        if not np.any(scaled):
+            continue
+        rest = scaled - zeros.T @ (zeros @ scaled)
+        found = float(inside @ (information @ inside)) / float(scaled @ scaled)
+        if (found < _NONE_OF_WIRES or name in zero) and rest @ rest > 1e-6 * (scaled @ scaled):
+            zeros = np.vstack([zeros, rest / np.linalg.norm(rest)])
+            names.append(name)
+    factor = Factor(matrix)
+    solved = factor.solve(np.stack([right, *zeros], axis=1))
+    value, beside = solved[:, 0], solved[:, 1:]
+    # With the condition zeros x = 0.
+    inside_zeros = zeros @ beside
+    value = value - beside @ np.linalg.solve(inside_zeros, zeros @ value)
+    variance = factor.variances() - np.sum(beside * np.linalg.solve(inside_zeros, beside.T).T, axis=1)
+    variance, value = variance * scale**2, value * scale
+    in_zero = np.sqrt(np.sum(zeros**2, axis=0)) > _PART
+    surveyed = survey > 0
+    open_ = ~known | (variance > FAR**2) | (~surveyed & (normal.hits < LEAST_HITS))
+    status = np.where(open_, "undetermined", np.where(in_zero, "constrained" if constrain else "undetermined", "free"))
+    value[status == "undetermined"] = 0.0
+    return Solution(
+        detector, tuple(constants), value, variance, None, tuple(map(str, status)), prior, tuple(names), zeros * scale,
+        information, sums.measured,
     )  # fmt: skip
 
 

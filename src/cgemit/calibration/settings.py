@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cgemit.base.errors import Problems
 from cgemit.base.settings import SettingsData
 from cgemit.base.validate import NotNegative, Positive, Whole
-from cgemit.calibration.constants import FIELD, LORENTZ, Z_SCALE, Constant, chosen, constants_of, priors_of
+from cgemit.calibration.constants import (
+    FIELD,
+    LORENTZ,
+    Z_SCALE,
+    Constant,
+    chosen,
+    constants_of,
+    of_single_wires,
+    priors_of,
+)
 from cgemit.detector import Detector
 from cgemit.reconstruction.fit import Pull
 
@@ -26,7 +35,8 @@ class AlignmentSettings(SettingsData):
     free : tuple of str
         Parts, all displacements of which are free, such as ``"cgem.*"``, ``"layer.PIX"`` and ``"drift_chamber"``, and
         constants by their names, such as ``"cgem.*.shift_z"``. Other parts stay where the description puts them: the
-        constants are relative to them.
+        constants are relative to them. ``"drift_chamber.layers.*.wires.*"`` names the ends of all single wires, which
+        are determined without any other constant and without joined tracks (``pairs=()``).
     fixed : tuple of str
         Of those, which stay as they are.
     calibrate : tuple of str
@@ -112,7 +122,8 @@ def plan_of(
     ValueError
         Listing every pattern that names nothing, and every prior that is none.
     """
-    problems, every = Problems(), constants_of(detector, settings.plates)
+    single = any(".wires." in one for one in (*settings.free, *settings.fixed, *settings.priors))
+    problems, every = Problems(), constants_of(detector, settings.plates, wires=single)
     wires = len(detector.drift_chamber.layers) if detector.drift_chamber is not None else 0
     if settings.plates and sum(settings.plates) != wires:
         problems.note("plates", f"{sum(settings.plates)} wire layers", f"the {wires} of the detector")
@@ -127,8 +138,22 @@ def plan_of(
     if free and not free - fixed:
         problems.note("fixed", "all that is free", "a constant that is left free")
     problems.report("alignment")
+    if single:
+        _check_single(every, free - fixed, settings, problems)
+    left = free - fixed
     return (
-        tuple(one for one in every if one.name in free - fixed),
+        tuple(one for one in every if one.name in left),
         tuple(one for one in every if one.name in fixed),
-        {name: error for name, error in priors.items() if name in free - fixed},
+        {name: error for name, error in priors.items() if name in left},
     )
+
+
+def _check_single(every: Sequence[Constant], left: set[str], settings: AlignmentSettings, problems: Problems) -> None:
+    """Raise a ValueError for what has no sums with single wires: other constants, and tracks that are joined."""
+    kinds = {of_single_wires([one]) for one in every if one.name in left}
+    if True in kinds:
+        if False in kinds:
+            problems.note("free", "single wires and other constants", "one of these: align the parts first")
+        if settings.pairs:
+            problems.note("pairs", ", ".join(settings.pairs), "none (pairs=()) with single wires")
+    problems.report("alignment")

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cgemit import _core, helix
-from cgemit.base.arrays import Floats
-from cgemit.calibration.constants import Constant, columns_of
+from cgemit.base.arrays import Floats, Ints
+from cgemit.calibration.blocks import Blocks
+from cgemit.calibration.constants import Constant, columns_of, neighbours, of_single_wires
 from cgemit.calibration.constraints import Quantities, known_tracks, quantities
 from cgemit.calibration.settings import AlignmentSettings
 from cgemit.covariance.analytic import expected_hits
@@ -30,6 +31,9 @@ from cgemit.tables.schema import HIT_WIRE, FitStatus, has_momentum
 #: 200 mm of d_rho would tell a common shift to 2 mm.
 WIDER = 20.0
 _BLOCK = 2048  # tracks of one task
+#: Of the sums of single wires, each of which has a matrix; the order of their sum does not depend on threads.
+_TASKS = 2
+_COLUMNS = 512  # constants of a block of their matrix
 _WILD = 10.0  # times the median, from which on tracks are not joined before any alignment
 _KNOWN = 3.0  # errors of a drift distance, from which on the side of a hit is known
 
@@ -65,8 +69,8 @@ class Sums:
 
     Attributes
     ----------
-    normal : ndarray, (n, n) float64
-        Information of the data on constants, each in mm, rad or 1.
+    normal : ndarray, (n, n) float64, or Blocks
+        Information of the data on constants, each in mm, rad or 1; of single wires in blocks.
     right : ndarray, (n,) float64
         The constants are ``normal^-1 right``.
     measured : ndarray, (n,) float64
@@ -81,7 +85,7 @@ class Sums:
         What they are sums of, if asked for.
     """
 
-    normal: Floats
+    normal: Floats | Blocks
     right: Floats
     measured: Floats
     tracks: int = 0
@@ -92,9 +96,15 @@ class Sums:
     rows: tuple[Rows, ...] = ()
 
     @classmethod
-    def none(cls, constants: int) -> Sums:
+    def none(cls, detector: Detector, constants: Sequence[Constant]) -> Sums:
         """Return the sums of no tracks."""
-        return cls(np.zeros((constants, constants)), np.zeros(constants), np.zeros(constants))
+        n = len(constants)
+        normal: Floats | Blocks
+        if of_single_wires(constants):
+            normal = Blocks(neighbours(detector, constants), _first_columns(constants), {}, np.zeros(n, np.int64))
+        else:
+            normal = np.zeros((n, n))
+        return cls(normal, np.zeros(n), np.zeros(n))
 
     def __add__(self, other: Sums) -> Sums:
         return Sums(**{name: getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__})
@@ -104,6 +114,12 @@ class Sums:
         numbers = {name: round(factor * getattr(self, name)) for name in ("tracks", "hits", "pairs", "left_out")}
         others = {name: factor * getattr(self, name) for name in ("normal", "right", "measured", "chi2")}
         return Sums(**others, **numbers)
+
+
+def _first_columns(constants: Sequence[Constant]) -> Ints:
+    """Return where blocks of constants of single wires begin, and the number of constants."""
+    n = len(constants)
+    return np.linspace(0, n, max(n // _COLUMNS, 1) + 1).astype(np.int32)
 
 
 def fitted_sums(
@@ -339,17 +355,23 @@ def track_sums(
         Helices and covariances that are known otherwise; NaN: not.
     """
     settings = settings or AlignmentSettings(pairs=())
-    columns = columns_of(detector, constants)
+    single = of_single_wires(constants)
+    if single and (rows or reference is not None or settings.pairs):
+        raise ValueError("single wires: expected neither records, nor known tracks, nor joined ones (pairs=())")
+    columns, none = columns_of(detector, constants), Sums.none(detector, constants)
     prior = [WIDER * sigma for sigma in fit.prior_in(detector)]
 
     def part(tracks: npt.NDArray[np.intp]) -> Sums:
         out = core_sums(
             core, columns, offsets, hits, of_tracks, tracks, prior, bias=bool(settings.pairs) or reference is not None,
-            scattering=settings.scattering, innovations=rows,
+            scattering=settings.scattering, innovations=rows, blocks=_first_columns(constants) if single else (),
         )  # fmt: skip
         used = out["used"] == 1
+        counted = int(used.sum()), int(out["hits"][used].sum())
+        if single:
+            return _of_single(none, out, counted)
         sums = Sums(
-            out["normal"], out["right"], out["measured"], int(used.sum()), int(out["hits"][used].sum()),
+            out["normal"], out["right"], out["measured"], *counted,
             chi2=float(out["chi2"][used].sum()), rows=_rows_of(out, event[tracks]) if rows else (),
         )  # fmt: skip
         joined = quantities(out, event[tracks], of_tracks["mass"][tracks], of_tracks["charge"][tracks], settings)
@@ -359,11 +381,22 @@ def track_sums(
             sums = sums + constrained(one, fit.outlier_pull, rows=rows)
         return sums
 
-    blocks = np.split(good, _borders(good, event)) if len(good) else []
-    total = Sums.none(len(constants))
+    borders = _TASKS if single else _borders(good, event)
+    blocks = np.array_split(good, borders) if len(good) else []
+    total = none
     for one in map(part, blocks) if pool is None else pool.map(part, blocks):
         total = total + one
     return total
+
+
+def _of_single(none: Sums, out: Mapping[str, Any], counted: tuple[int, int]) -> Sums:
+    """Return the sums of single wires, whose columns are in the order of neighbours in the core."""
+    assert isinstance(none.normal, Blocks)
+    order = none.normal.order
+    right, measured, hits = np.zeros(len(order)), np.zeros(len(order)), np.zeros(len(order), np.int64)
+    right[order], measured[order], hits[order] = out["right"], out["measured"], out["column_hits"]
+    normal = replace(none.normal, entries=out["blocks"], hits=hits)
+    return Sums(normal, right, measured, *counted, chi2=float(out["chi2"][out["used"] == 1].sum()))
 
 
 def _borders(good: npt.NDArray[np.intp], event: npt.NDArray[np.int64]) -> list[int]:
@@ -381,7 +414,8 @@ def core_sums(
     core: _core.detector.Detector, columns: dict[str, Any], offsets: npt.NDArray[np.int64],
     hits: Mapping[str, npt.NDArray[Any]], tracks: Mapping[str, npt.NDArray[Any]], rows: npt.NDArray[np.intp],
     prior: Sequence[float], *, bias: bool = False, scattering: bool = True, innovations: bool = False,
-) -> dict[str, npt.NDArray[Any]]:  # fmt: skip
+    blocks: Sequence[int] | Ints = (),
+) -> dict[str, Any]:  # fmt: skip
     """Return what the core makes of some tracks.
 
     Parameters
@@ -394,15 +428,17 @@ def core_sums(
     rows : ndarray, int
     prior : sequence of float
     bias, scattering, innovations : bool
+    blocks : sequence of int
+        Of the matrix of single wires.
     """
     of_tracks: dict[str, Any] = {name: column[rows] for name, column in tracks.items()}
     counts = np.diff(offsets)[rows]
     begin = np.concatenate([[0], np.cumsum(counts)])
     at = np.repeat(offsets[rows] - begin[:-1], counts) + np.arange(begin[-1])
-    out: dict[str, npt.NDArray[Any]] = _core.calibration.sums(
+    out: dict[str, Any] = _core.calibration.sums(
         core, columns=columns, hit_offsets=begin, hits={name: column[at] for name, column in hits.items()},
         **of_tracks, prior_sigma=list(prior), bias=bias,
-        scattering=scattering, innovations=innovations,
+        scattering=scattering, innovations=innovations, blocks=list(blocks),
     )  # fmt: skip
     return out
 

@@ -35,7 +35,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="*", metavar="RUN", help="folders of runs with clusters and candidates")
     parser.add_argument("-d", "--detector", help="detector of a forecast; of runs: description to be corrected")
     parser.add_argument(
-        "--free", action="append", metavar="PATTERN", help="part or constant that is free (default cgem.*); may repeat"
+        "--free",
+        action="append",
+        metavar="PATTERN",
+        help="part or constant that is free (default cgem.*); may repeat; single wires:"
+        " 'drift_chamber.layers.*.wires.*'",
     )
     parser.add_argument("--fix", action="append", default=[], metavar="PATTERN", help="of those, stay as they are")
     parser.add_argument(
@@ -137,7 +141,7 @@ def _report(
 ) -> dict[str, Any]:
     from cgemit.calibration.align import Alignment
 
-    modes = outcome.modes(5)
+    modes = outcome.modes(5) if outcome.solution.matrix is not None else None
     report: dict[str, Any] = {
         "version": __version__, "command": arguments.line, "settings": settings.to_dict(),
         "constants": [
@@ -148,7 +152,7 @@ def _report(
         "weak_modes": [
             {"name": name, "share": share, "error_mm": _plain(size)}
             for name, share, size in zip(modes.names, modes.shares, modes.sizes, strict=True)
-        ],
+        ] if modes else [],
     }  # fmt: skip
     if isinstance(outcome, Alignment):
         report |= {
@@ -175,7 +179,8 @@ def _write(outcome: Alignment | AlignmentForecast, text: str, folder: str, *, ov
         outcome.table.save(results / "alignment.csv")
         (results / "report.json").write_text(text + "\n", encoding="utf-8")
         draw_constants(outcome).save(results / "constants")
-        draw_modes(outcome).save(results / "modes")
+        if outcome.solution.matrix is not None:  # not of single wires
+            draw_modes(outcome).save(results / "modes")
         if isinstance(outcome, Alignment):
             (results / "detector.toml").write_text(outcome.detector.to_toml(), encoding="utf-8")
             draw_residual_means(outcome).save(results / "residuals")

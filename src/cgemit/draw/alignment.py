@@ -25,6 +25,8 @@ _MOST_LABELS = 10  # of parts
 def draw_constants(alignment: Alignment | AlignmentForecast) -> Picture:
     """Draw the errors of all constants by part, logarithmically; of an alignment also the convergence.
 
+    Of the single wires of a layer it is the median.
+
     Parameters
     ----------
     alignment : Alignment or AlignmentForecast
@@ -56,12 +58,14 @@ def _errors(axes: Axes, found: Alignment | AlignmentForecast) -> None:
     parts, keys = (list(dict.fromkeys(one[i] for one in names)) for i in (0, 1))
     width = 0.8 / len(keys)
     for i, key in enumerate(keys):
-        at, values = [], []
+        errors = dict[str, list[float]]()
         for (part, own), unit, err in zip(names, table.unit, table.err, strict=True):
             if own == key and np.isfinite(err):
-                at.append(parts.index(part) + (i - 0.5 * (len(keys) - 1)) * width)
-                values.append(_SHORT[unit][0] * err)
-        axes.bar(at, values, width, color=SERIES[i % len(SERIES)], label=key)
+                errors.setdefault(part, []).append(_SHORT[unit][0] * err)
+        at = [parts.index(part) + (i - 0.5 * (len(keys) - 1)) * width for part in errors]
+        axes.bar(
+            at, [float(np.median(one)) for one in errors.values()], width, color=SERIES[i % len(SERIES)], label=key
+        )
     units = [_SHORT[unit][1] for unit in ("mm", "rad", "ns", "") if unit in table.unit]
     every = 1 + (len(parts) - 1) // _MOST_LABELS
     axes.set(yscale="log", ylabel=f"error  ({', '.join(units)})", xticks=range(0, len(parts), every))
@@ -72,8 +76,10 @@ def _errors(axes: Axes, found: Alignment | AlignmentForecast) -> None:
 
 
 def _part_and_key(name: str) -> tuple[str, str]:
-    """Return the part and the key of a constant; points of a relation are parts."""
+    """Return the part and the key of a constant; points of a relation are parts, and the wires of a layer are one."""
     part, _, key = name.rpartition(".")
+    if ".wires." in part:
+        part = part.partition(".wires.")[0]
     return (name, "time") if part.endswith("drift_relation") else (part, key)
 
 

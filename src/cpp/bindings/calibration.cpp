@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "bindings/hits.hpp"
 #include "bindings/interrupt.hpp"
@@ -17,7 +18,8 @@ using namespace cgemit::bindings;
 
 namespace {
 
-constexpr int most_columns = 3000;  // of a dense matrix of normal equations
+constexpr int most_columns = 3000;      // of a dense matrix of normal equations
+constexpr int most_single = 1'000'000;  // of one in blocks
 
 using Numbers = Array<std::int32_t>;
 
@@ -50,9 +52,11 @@ ColumnMap column_map(const Detector& detector, const py::dict& given) {
                 of_lorentz = in["lorentz"], of_z_scale = in["z_scale"], of_field = in["field"],
                 of_drift = in["drift"];
   const Array<double> shift = in["chamber_shift"], turn = in["chamber_turn"], changes = in["drift_change"];
+  const std::vector<Numbers> of_single = in["single"];
   in.check();
-  if (map.columns < 0 || map.columns > most_columns)
-    throw std::invalid_argument("columns: expected 0 to " + std::to_string(most_columns) + " constants");
+  const int most = of_single.empty() ? most_columns : most_single;
+  if (map.columns < 0 || map.columns > most)
+    throw std::invalid_argument("columns: expected 0 to " + std::to_string(most) + " constants");
   const std::size_t layers = detector.layers.size(), wires = detector.wires.size();
   map.layers = rigid(of_layers, "layers", layers, map.columns);
   const std::vector<RigidColumns> sheets = rigid(of_sheets, "sheets", most_sheets * layers, map.columns);
@@ -67,6 +71,18 @@ ColumnMap column_map(const Detector& detector, const py::dict& given) {
   map.lorentz = numbers_of(of_lorentz, "lorentz", layers, map.columns);
   map.z_scale = numbers_of(of_z_scale, "z_scale", layers, map.columns);
   map.field = numbers_of(of_field, "field", 1, map.columns)[0];
+  if (!of_single.empty()) {
+    if (of_single.size() != wires)
+      throw std::invalid_argument("columns: single: expected an array for each wire layer");
+    map.single.resize(wires);
+    for (std::size_t i = 0; i < wires; ++i) {
+      if (of_single[i].size() == 0) continue;
+      const auto cells = static_cast<std::size_t>(detector.wires[i].cells);
+      const std::vector<int> numbers = numbers_of(of_single[i], "single", 4 * cells, map.columns);
+      map.single[i].resize(cells);
+      for (std::size_t k = 0; k < numbers.size(); ++k) map.single[i][k / 4][k % 4] = numbers[k];
+    }
+  }
   // Changes of drift distances: (wire layers, constants, distances).
   if (changes.ndim() != 3 || changes.shape(0) != static_cast<py::ssize_t>(wires) ||
       (changes.shape(1) > 0 && changes.shape(2) == 0))
@@ -91,8 +107,14 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
                   const Array<double>& mass_array, const Array<double>& charge_array,
                   const Array<double>& matter_p_array, const Array<double>& start_radius,
                   const std::array<double, 5>& prior_sigma, bool bias, bool scattering, bool innovations,
-                  bool scalar) {
+                  const std::vector<std::int32_t>& blocks, bool scalar) {
   const ColumnMap map = column_map(detector, map_values);
+  const bool single = !map.single.empty();
+  if (single && (bias || innovations))
+    throw std::invalid_argument("sums: expected neither bias nor innovations of single wires");
+  if (single && (blocks.size() < 2 || blocks.front() != 0 || blocks.back() != map.columns ||
+                 !std::ranges::is_sorted(blocks)))
+    throw std::invalid_argument("sums: blocks: expected rising numbers from 0 to that of the columns");
   const auto offsets = hit_offsets_of(hit_offsets);
   const std::size_t n = offsets.size() - 1;
   const auto tracks = static_cast<py::ssize_t>(n);
@@ -123,7 +145,9 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
   const std::vector<UsedHit> used = used_hits(hit_columns, n_hits);
   std::vector<Hit> hits;
   HitColumns(detector, hit_columns, n_hits).take(0, static_cast<std::size_t>(n_hits), hits);
-  const auto columns = static_cast<std::size_t>(map.columns);
+  const auto columns = single ? 0 : static_cast<std::size_t>(map.columns);
+  std::optional<WireSums> wire_sums;
+  if (single) wire_sums.emplace(blocks);
   std::vector<double> normal(columns * columns), right(columns), measured(columns),
       biases(bias ? n * columns * 5 : 0);
   std::vector<SummedTrack> rows(n);
@@ -153,6 +177,7 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
             .rows = rows.data() + begin,
             .bias = bias ? biases.data() + begin * columns * 5 : nullptr,
             .innovations = innovations ? &innovation_rows : nullptr,
+            .wires = wire_sums ? &*wire_sums : nullptr,
             .first_track = static_cast<std::int64_t>(begin)});
     }
   }
@@ -160,6 +185,23 @@ py::dict run_sums(const Detector& detector, const py::dict& map_values,
   Columns<SummedTrack> of_track;
   of_track.append(rows);
   py::dict out = to_dict(std::move(of_track));
+  if (wire_sums) {
+    BlockedMatrix& found = wire_sums->normal;
+    py::dict of_blocks;
+    for (std::size_t row = 0; row < found.count(); ++row)
+      for (std::size_t other = 0; other <= row; ++other) {
+        std::vector<double>& entries = found.block(row, other);
+        if (!entries.empty())
+          of_blocks[py::make_tuple(row, other)] = to_numpy(
+              std::move(entries),
+              {static_cast<py::ssize_t>(found.size(row)), static_cast<py::ssize_t>(found.size(other))});
+      }
+    out["blocks"] = of_blocks;
+    out["right"] = to_numpy(std::move(wire_sums->right));
+    out["measured"] = to_numpy(std::move(wire_sums->measured));
+    out["column_hits"] = to_numpy(std::move(wire_sums->hits));
+    return out;
+  }
   const auto width = static_cast<py::ssize_t>(columns);
   out["normal"] = to_numpy(std::move(normal), {width, width});
   out["right"] = to_numpy(std::move(right));
@@ -185,9 +227,10 @@ void bind_calibration(py::module_& module) {
       "sums", &run_sums, py::arg("detector"), py::kw_only(), py::arg("columns"), py::arg("hit_offsets"),
       py::arg("hits"), py::arg("reference"), py::arg("kinks"), py::arg("mass"), py::arg("charge"),
       py::arg("matter_p"), py::arg("start_radius"), py::arg("prior_sigma"), py::arg("bias") = false,
-      py::arg("scattering") = true, py::arg("innovations") = false, py::arg("scalar") = false,
+      py::arg("scattering") = true, py::arg("innovations") = false,
+      py::arg("blocks") = std::vector<std::int32_t>(), py::arg("scalar") = false,
       "Sums of the normal equations of constants of the detector over tracks, each about the reference of "
       "its fit; the helix, covariance and chi-square of every track with this prior; with `bias` the "
       "derivatives of each helix by the constants; with `innovations` the independent rows that the sums are "
-      "of.");
+      "of. Of single wires the matrix comes in `blocks` of columns, by their first ones.");
 }

@@ -2,9 +2,11 @@
 #pragma once
 
 #include <algorithm>
+#include <optional>
 #include <vector>
 
 #include "calibration/sums.hpp"
+#include "calibration/wires.hpp"
 #include "common/angles.hpp"
 #include "kalman/builder.hpp"
 #include "kalman/field_reference.hpp"
@@ -23,13 +25,14 @@ class SumsBatch {
         out_(output),
         builder_(detector),
         row_(map),
-        columns_(static_cast<std::size_t>(map.columns)),
+        columns_(output.wires == nullptr ? static_cast<std::size_t>(map.columns) : 0),
         bias_(columns_),
         innovation_(columns_),
         reached_(columns_),
         normal_(columns_ * columns_, T(0.0)),
         right_(columns_, T(0.0)),
         measured_(columns_, T(0.0)) {
+    if (output.wires != nullptr) wires_.emplace(map, *output.wires);
     unroll<parameters>([&](auto i) {
       const double sigma = tracks_.prior_sigma[static_cast<std::size_t>(i)];
       prior_[i] = sigma * sigma;
@@ -95,6 +98,7 @@ class SumsBatch {
     if (!tracks_.scattering) forget_noise();
     const mask_of<T> good = filter_tracks(first, n);
     if (columns_ > 0) push(good, first);
+    if (wires_) push_wires(good);
     if (out_.bias != nullptr) write_bias(first, n);
   }
 
@@ -194,6 +198,20 @@ class SumsBatch {
     }
   }
 
+  void push_wires(mask_of<T> good) {
+    wires_->begin();
+    for (std::size_t i = group_.steps.size(); i-- > 0;) {
+      const GroupStep& step = group_.steps[i];
+      for (std::int32_t s = step.last; s-- > step.first;) {
+        const auto number = static_cast<std::size_t>(s);
+        const Slot<T>& slot = group_.slots[number];
+        if (const mask_of<T> who = slot.used & good; any(who))
+          wires_->push(detector_, slot, sites_[number], who, hits_);
+      }
+    }
+    wires_->add(good);
+  }
+
   CGEMIT_FLATTEN void push(const Slot<T>& slot, mask_of<T> good) {
     const mask_of<T> who = slot.used & good;
     if (!any(who)) return;
@@ -261,7 +279,8 @@ class SumsBatch {
   Group<T> group_;
   std::vector<MeasuredAt<T>> sites_;
   ColumnRow<T> row_;
-  std::size_t columns_;
+  std::size_t columns_;  // of constants that are no single wires
+  std::optional<WirePush<T>> wires_;
   std::vector<Five<T>> bias_;  // of the present lanes, of the columns in `active_`
   std::vector<T> innovation_;
   std::vector<char> reached_;

@@ -40,6 +40,9 @@ struct ColumnMap {
   std::vector<std::vector<DriftColumn>> drift;  // of layers of wires
   double drift_step = 1;                        // mm
   int field = -1;                               // ln of the field
+  // Of each wire of each layer: shifts of its end at +z outward and along phi, and of that at -z. Empty: no
+  // layer or wire; otherwise no other constant has a column (wires.hpp).
+  std::vector<std::vector<std::array<int, 4>>> single;
 };
 
 // Where a track crosses a measurement, and the gradient of the measurement by a shift of the track there.

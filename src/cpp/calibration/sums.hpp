@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <span>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "calibration/columns.hpp"
@@ -64,9 +65,63 @@ struct InnovationRows {
   std::vector<double> derivative;          // e
 };
 
+// A symmetric matrix of many columns: dense blocks of neighbouring ones, which are there where some track
+// needs them.
+class BlockedMatrix {
+ public:
+  // `first` column of each block, and the number of columns.
+  explicit BlockedMatrix(std::vector<std::int32_t> first)
+      : first_(std::move(first)), block_of_(static_cast<std::size_t>(first_.back())) {
+    for (std::size_t b = 0; b + 1 < first_.size(); ++b)
+      for (std::int32_t c = first_[b]; c < first_[b + 1]; ++c)
+        block_of_[static_cast<std::size_t>(c)] = static_cast<std::uint32_t>(b);
+    blocks_.resize(count() * (count() + 1) / 2);
+  }
+
+  std::size_t count() const { return first_.size() - 1; }
+  std::size_t size(std::size_t block) const {
+    return static_cast<std::size_t>(first_[block + 1] - first_[block]);
+  }
+  // Of rows `row` and columns `column`, at most `row`. Those on the diagonal hold their lower triangle.
+  std::vector<double>& block(std::size_t row, std::size_t column) {
+    return blocks_[row * (row + 1) / 2 + column];
+  }
+  double& at(std::size_t i, std::size_t j) {
+    if (i < j) std::swap(i, j);
+    const std::size_t row = block_of_[i], column = block_of_[j];
+    std::vector<double>& entries = block(row, column);
+    if (entries.empty()) entries.resize(size(row) * size(column));
+    return entries[(i - static_cast<std::size_t>(first_[row])) * size(column) + j -
+                   static_cast<std::size_t>(first_[column])];
+  }
+
+ private:
+  std::vector<std::int32_t> first_;
+  std::vector<std::uint32_t> block_of_;
+  std::vector<std::vector<double>> blocks_;
+};
+
+// The sums of single wires, as `normal`, `right` and `measured` below, and the hits of each column.
+struct WireSums {
+  BlockedMatrix normal;
+  std::vector<double> right, measured;
+  std::vector<std::int64_t> hits;
+
+  explicit WireSums(std::vector<std::int32_t> first)
+      : normal(std::move(first)), right(columns()), measured(columns()), hits(columns()) {}
+
+ private:
+  std::size_t columns() const {
+    std::size_t n = 0;
+    for (std::size_t b = 0; b < normal.count(); ++b) n += normal.size(b);
+    return n;
+  }
+};
+
 // `normal` (columns squared), `right` and `measured` (columns) are sums, to which the tracks are added;
 // `measured` is the information that hits would have of a constant if helices were known. `rows`: one for
 // each track. `bias` may be null; otherwise it receives the (columns, 5) derivatives of each helix.
+// `wires`: of single wires, instead of all these; null without them.
 // `innovations` may be null; tracks are counted from `first_track`, rows without a derivative are left out.
 struct SumsOutput {
   double* normal;
@@ -75,6 +130,7 @@ struct SumsOutput {
   SummedTrack* rows;
   double* bias;
   InnovationRows* innovations;
+  WireSums* wires;
   std::int64_t first_track;
 };
 

@@ -96,7 +96,7 @@ def test_lanes_do_not_matter(run: cg.Result) -> None:
     """Sums over many tracks are those of the tracks one by one, on lanes and with the scalar code."""
     constants = rigid(run.detector)
     whole = fitted_sums(run.detector, run.tables, constants, run.settings.fit)
-    one_by_one = Sums.none(len(constants))
+    one_by_one = Sums.none(run.detector, constants)
     for event in range(run.n_events):
         one = run.select_events(event, event + 1)
         one_by_one = one_by_one + fitted_sums(run.detector, one.tables, constants, run.settings.fit)
