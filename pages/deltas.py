@@ -24,9 +24,9 @@ from cgemit.detector import Detector, compiled
 from cgemit.detector.gas import LARGEST_SIZE, ionization
 from cgemit.draw.style import COLORS, Picture, grid, new_picture, style
 from cgemit.simulation.transport import SimulateSettings
+from cgemit.study.evaluation import seed_of
 from cgemit.study.paper import COS_THETA
 from cgemit.study.paper.published import paper_values
-from cgemit.study.samples import seed_of
 from cgemit.tables.show import with_error
 from pages.geant4 import read
 from pages.page import Found, Numbers, Page, share_of, table

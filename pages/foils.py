@@ -24,8 +24,8 @@ from cgemit.chain.settings import Settings
 from cgemit.detector import CgemLayer, Detector, SubLayer, compiled, slabs
 from cgemit.detector.shells import Holes
 from cgemit.simulation.transport import SimulateSettings
+from cgemit.study.evaluation import seed_of
 from cgemit.study.paper import COS_THETA
-from cgemit.study.samples import seed_of
 from pages.page import Found, Numbers, Page, sample, share_of, table
 
 PRESET, SEED = "besiii-cgem-design", 1

@@ -17,8 +17,8 @@ import cgemit as cg
 from cgemit.analysis.clusters import cluster_residuals, x_beyond, x_widths
 from cgemit.analysis.curves import windowed_resolution
 from cgemit.covariance.result import Covariance
+from cgemit.study.evaluation import seed_of
 from cgemit.study.paper import COS_THETA, DETECTORS, THIN_GAP
-from cgemit.study.samples import seed_of
 from cgemit.tables.show import with_error
 from pages.page import Found, Numbers, Page, sample, share_of, table
 

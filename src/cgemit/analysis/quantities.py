@@ -165,6 +165,38 @@ class Quantity:
         return variance
 
 
+@dataclass(frozen=True)
+class Kinematic:
+    """What tells tracks of studies apart: a kinematic variable of what is shot."""
+
+    name: str
+    unit: str
+    symbol: str
+
+    @property
+    def header(self) -> str:
+        """Name of its column, such as ``p (GeV/c)``."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    def text(self, value: Any) -> str:
+        """Return a value, (low, high) of a range, or the text of one, such as ``p = 1 GeV/c``."""
+        if isinstance(value, tuple):
+            value = f"{value[0]:g} to {value[1]:g}"
+        shown = value.replace(":", " to ") if isinstance(value, str) else f"{value:g}"
+        return f"{self.symbol} = {shown}" + (f" {self.unit}" if self.unit else "")
+
+
+#: Kinematic variables by name, in the order in which rows of studies go through them, slowest first; `d` is the
+#: distance of the origin of tracks from the beam line.
+KINEMATICS = {
+    name: Kinematic(name, unit, symbol)
+    for name, unit, symbol in (
+        ("p", "GeV/c", "p"), ("pt", "GeV/c", "pT"), ("cos_theta", "", "cos θ"), ("theta", "rad", "θ"), ("eta", "", "η"),
+        ("phi", "rad", "φ"), ("d", "mm", "d"),
+    )
+}  # fmt: skip
+
+
 _ANY: Columns = {"kappa": np.ones(1), "tanl": np.zeros(1), "charge": np.ones(1)}
 
 

@@ -39,9 +39,22 @@ def angles(text: str) -> Values:
     return _values(text, "angle")
 
 
-def listed_momenta(text: str) -> list[float]:
-    """Read momenta as `momenta`, but no range."""
-    return _listed_values(text, "momentum")
+def lengths(text: str) -> Values:
+    """Read lengths in mm or with a unit, as `momenta`."""
+    return _values(text, "length")
+
+
+def values_of_key(text: str) -> list[Any]:
+    """Read values of a key of the detector, ``A,B,C`` or ``A:B:COUNT`` with both ends; a value is as in its file."""
+    from cgemit.study.sweep.space import split_range
+
+    parts = [part.strip() for part in text.split(":")]
+    ends = split_range(literal(parts[0]), literal(parts[1])) if len(parts) == 3 else None
+    if ends is None or ends[0]:
+        return [literal(part.strip()) for part in text.split(",")]
+    count, (_, low, high, unit) = whole(parts[2], 2, 1000), ends
+    steps = [low + (high - low) * i / (count - 1) for i in range(count)]
+    return [f"{one:.10g} {unit}" if unit else float(f"{one:.10g}") for one in steps]
 
 
 def listed_angles(text: str) -> list[float]:

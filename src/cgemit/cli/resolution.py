@@ -1,4 +1,4 @@
-"""`cgemit resolution`: resolutions of a detector against momentum."""
+"""`cgemit resolution`: resolutions of a detector against kinematics or a key of the design."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION = """\
-Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum: points from simulated
-and fitted tracks, lines from the covariance of the fit without events, or both. A table for each detector and the
-fits of the usual forms (with three momenta or more) go to stdout; the folder gets resolution.csv, summary.json, the
-detectors as TOML, and the curves of all detectors in one picture as PNG and PDF, also of sigma(p)/p,
-sigma(pT)/pT, pT, phi0, theta and tan(lambda). Several detectors see the same particles: differences
+Resolutions sigma(d_rho), sigma(d_z) and sigma(p) of one or several detectors against momentum, angle, or any key of the
+design (--against): points from simulated and fitted tracks, lines from the covariance of the fit without events, or
+both. A table for each detector and the fits of the usual forms (with three momenta or more) go to stdout; the folder
+gets resolution.csv, summary.json, the detectors as TOML, and the curves of all detectors in one picture as PNG and PDF,
+also of sigma(p)/p, sigma(pT)/pT, pT, phi0, theta and tan(lambda). Several detectors see the same particles: differences
 to the first have paired errors."""
 
 EXAMPLES = """\
-Momenta are one number, A,B,C, or A:B:COUNT with both ends; in GeV/c unless a unit is given.
+Of momenta and angles, A,B,C and A:B:COUNT (both ends included) have a row for each value: one option may be such a
+list. A:B is a uniform range, over which the tracks of a row are mixed. In GeV/c, rad and mm unless a unit is given.
 
 examples:
   cgemit resolution -d besiii-cgem-design --p 0.2:2.0:10 -o curves
@@ -35,6 +36,8 @@ examples:
   cgemit resolution -d besiii-cgem-design -d thin/detector.toml -d besiii-idc --p 0.2:2.0:10 -o compared
   cgemit resolution -d besiii-cgem-design -d besiii-idc --method both --cos-theta 0 --p 0.2:2.0:10 -o lines
   cgemit resolution -d besiii-cgem --particle pi+ --particle K+ --pt 0.2:1.0:5 --theta "60 deg" -o hadrons
+  cgemit resolution -d besiii-cgem --method both --p 1 --against "theta=20 deg:160 deg:15" -o angles
+  cgemit resolution -d besiii-cgem-design --method analytic --p 1 --against "cgem.*.pitch_x=300 um:900 um:7" -o pitches
   cgemit resolution -d besiii-cgem --set fit.loss=mean --p 0.2:2.0:10 -o mean-loss
   cgemit resolution -d besiii-cgem --method analytic --map --p 0.2:3:15 --cos-theta -0.9:0.9:25 -o maps
   cgemit resolution -d besiii-cgem --method analytic --budget dr --budget p --p 0.2:3:15 --cos-theta 0 -o budget
@@ -49,28 +52,34 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--particle", action="append", metavar="PARTICLE",
         help="PDG name or number (default mu-); repeat it to compare particles",
     )  # fmt: skip
-    momentum = parser.add_mutually_exclusive_group(required=True)
-    momentum.add_argument("--p", type=options.listed_momenta, metavar="VALUES", help="momenta, GeV/c")
-    momentum.add_argument("--pt", type=options.listed_momenta, metavar="VALUES", help="transverse momenta, GeV/c")
+    momentum = parser.add_mutually_exclusive_group()
+    momentum.add_argument("--p", type=options.momenta, metavar="VALUES", help="momenta, GeV/c (with --against: 1)")
+    momentum.add_argument("--pt", type=options.momenta, metavar="VALUES", help="transverse momenta, GeV/c")
     polar = parser.add_mutually_exclusive_group()
     polar.add_argument(
-        "--cos-theta", type=options.cosines, metavar="LO:HI|VALUE",
-        help="cosine of the polar angle: a value, or a range drawn uniformly (default -0.93:0.93)",
+        "--cos-theta", type=options.cosines, metavar="VALUES",
+        help="cosine of the polar angle (default: the range -0.93:0.93)",
     )  # fmt: skip
-    polar.add_argument(
-        "--theta",
-        type=options.angles,
-        metavar="LO:HI|VALUE",
-        help="polar angle, rad: a value, or a range drawn uniformly",
-    )
+    polar.add_argument("--theta", type=options.angles, metavar="VALUES", help="polar angle, rad")
+    polar.add_argument("--eta", type=options.cosines, metavar="VALUES", help="pseudorapidity")
+    parser.add_argument("--phi", type=options.angles, metavar="VALUES", help="azimuth, rad (default: all)")
+    parser.add_argument(
+        "--d", type=options.lengths, metavar="VALUES",
+        help="tracks begin at x = d, mm (default 0); not by the analytic method",
+    )  # fmt: skip
+    parser.add_argument(
+        "--against", metavar="AXIS[=VALUES]",
+        help="what rows and the axis of the pictures go through: p, pt, cos_theta, theta, eta, phi or d, or a key of "
+        "the detector with its values, KEY=A,B,C or KEY=A:B:COUNT (default: the option that is a list, else p or pt)",
+    )  # fmt: skip
     parser.add_argument(
         "-n", "--events", type=options.positive, default=5000, metavar="N",
-        help="at each momentum (default 5000); not used by the analytic method",
+        help="in each row (default 5000); not used by the analytic method",
     )  # fmt: skip
     parser.add_argument(
         "--method", choices=("mc", "analytic", "both"), default="mc",
-        help="mc: points from simulated events (default); analytic: lines through at least 60 momenta between the "
-        "first and the last, without events; both: lines and points",
+        help="mc: points from simulated events (default); analytic: lines through at least 60 points between the "
+        "first and the last value, without events; both: lines and points",
     )  # fmt: skip
     parser.add_argument(
         "--map", action="store_true",
@@ -103,10 +112,11 @@ def run(arguments: argparse.Namespace) -> int:
     from cgemit.study.scan import save_scans, summary_of
 
     check_free(arguments.output, overwrite=arguments.overwrite)
+    against = _against(arguments)
     detectors, settings = options.load_inputs(arguments, _guns, one_track=True)
     if arguments.map or arguments.budget or arguments.sensitivity:
-        return _expected(arguments, detectors, settings)
-    points, lines = _scans(arguments, detectors, settings)
+        return _expected(arguments, detectors, settings, against)
+    points, lines = _scans(arguments, detectors, settings, against)
     scans: list[Scan | AnalyticScan] = [*points, *lines]
     if failed := [f"{scan.detector.name}: {scan.note()}" for scan in scans if scan.empty()]:
         raise options.RunFailedError("\n".join(failed))
@@ -119,7 +129,40 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _expected(arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings) -> int:
+def _against(arguments: argparse.Namespace) -> str | dict[str, list[Any]] | None:
+    """Return what rows go through, as of `scan`, and set the option that `--against` gives the values of."""
+    from cgemit.analysis.quantities import KINEMATICS
+
+    if arguments.against is None:
+        return None
+    name, equals, text = (part.strip() for part in str(arguments.against).partition("="))
+    known = name.replace("-", "_")
+    option = f"--{known.replace('_', '-')}"
+    if known not in KINEMATICS:
+        if not equals or not text:
+            expected = f"one of {', '.join(KINEMATICS)}, or KEY=VALUES of the detector"
+            raise options.InputError(f"--against: got {arguments.against!r}; expected {expected}")
+        return {name: options.values_of_key(text)}
+    if equals:
+        if getattr(arguments, known) is not None:
+            raise options.InputError(f"--against, {option}: got both; expected one of them")
+        try:
+            setattr(arguments, known, _READ[known](text))
+        except argparse.ArgumentTypeError as error:
+            raise options.InputError(f"--against: {known}: {error}") from None
+    elif getattr(arguments, known) is None:
+        raise options.InputError(f"--against: got {name} alone; expected {name}=VALUES, or {option} VALUES beside it")
+    return known
+
+
+#: How values of `--against` are read.
+_READ = {
+    "p": options.momenta, "pt": options.momenta, "cos_theta": options.cosines, "theta": options.angles,
+    "eta": options.cosines, "phi": options.angles, "d": options.lengths,
+}  # fmt: skip
+
+
+def _expected(arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings, against: Any) -> int:
     """Draw maps, budgets and sensitivities of the resolutions of a detector, and write their numbers."""
     import numpy as np
 
@@ -130,7 +173,7 @@ def _expected(arguments: argparse.Namespace, detectors: Sequence[Detector], sett
     from cgemit.draw.design import draw_budget, draw_budgets, draw_maps, draw_sensitivity
     from cgemit.tables.show import write_csv
 
-    shot = _shot(arguments, detectors)
+    shot = _shot(arguments, detectors, against)
     (detector,), particle = detectors, (arguments.particle or ["mu-"])[0]
     how = {"reveal_sides": settings.digitize.reveal_sides, "fit": settings.fit, "threads": arguments.threads}
     resolution = analytic(detector, particle, **shot, **how)
@@ -165,22 +208,26 @@ def _expected(arguments: argparse.Namespace, detectors: Sequence[Detector], sett
     return 0
 
 
-def _shot(arguments: argparse.Namespace, detectors: Sequence[Detector]) -> dict[str, Any]:
+def _shot(arguments: argparse.Namespace, detectors: Sequence[Detector], against: Any) -> dict[str, Any]:
     """Return the momenta and angles of `analytic` for maps, budgets and sensitivities; a list means points."""
     import numpy as np
 
     asked = [f"--{name}" for name in ("map", "budget", "sensitivity") if getattr(arguments, name)]
     momentum = "p" if arguments.pt is None else "pt"
-    angle = "cos_theta" if arguments.theta is None else "theta"
+    angle = next((name for name in ("theta", "eta") if getattr(arguments, name) is not None), "cos_theta")
     momenta, angles = getattr(arguments, momentum), getattr(arguments, angle)
-    problems = []
+    momenta = 1.0 if momenta is None else momenta
+    momenta = momenta if isinstance(momenta, list | tuple) else [momenta]
+    problems = [f"--{name}: {asked[0]} has none" for name in ("phi", "d") if getattr(arguments, name) is not None]
+    if isinstance(against, dict):
+        problems.append(f"--against: {asked[0]} expects momenta or angles")
     if arguments.map:
         problems += [
             f"{name}: got {value}; --map expects two values or more, as A,B,C or A:B:COUNT"
-            for name, value in {"--p": arguments.p, "--cos-theta": arguments.cos_theta}.items()
+            for name, value in {"--p": arguments.p and momenta, "--cos-theta": arguments.cos_theta}.items()
             if not isinstance(value, list) or len(set(value)) < 2
         ]
-    elif isinstance(angles, list) and len(set(angles)) > 1 and len(set(momenta)) > 1:
+    elif isinstance(angles, list) and len(set(angles)) > 1 and isinstance(momenta, list) and len(set(momenta)) > 1:
         expected = f"{' and '.join(asked)} expects several momenta or several angles, not both"
         problems.append(f"--{momentum}, --{angle.replace('_', '-')}: got lists; {expected}")
     if arguments.map and len(asked) > 1:
@@ -191,10 +238,10 @@ def _shot(arguments: argparse.Namespace, detectors: Sequence[Detector]) -> dict[
     problems += [f"--json: {asked[0]} has no summary"] if arguments.json else []
     if problems:
         raise options.InputError("\n".join(problems))
-    p = np.unique(momenta)
+    p = np.unique(momenta) if isinstance(momenta, list) else momenta
     angles = (-0.93, 0.93) if angles is None else angles
     angles = np.unique(angles) if isinstance(angles, list) else angles
-    return {"p": None, "cos_theta": None} | {momentum: p[:, None] if arguments.map else p, angle: angles}
+    return {"p": None, "cos_theta": None} | {momentum: np.reshape(p, (-1, 1)) if arguments.map else p, angle: angles}
 
 
 def _header(name: str) -> str:
@@ -217,30 +264,36 @@ def _unmeasured(scan: Scan | AnalyticScan) -> str:
         lost = [math.isnan(p) and not math.isnan(dr) for p, dr in zip(scan.at("p"), scan.at("dr"), strict=True)]
     else:
         lost = [options.mostly_unconstrained(one.tracks) for one in scan.samples]
-    momenta = ", ".join(f"{p:g}" for p, one in zip(scan.momenta, lost, strict=True) if one)
-    return f"{momenta} GeV/c" if momenta else ""
+    rows = [number for number, one in enumerate(lost) if one]
+    return scan.against.at(rows) if rows else ""
 
 
 def _guns(arguments: argparse.Namespace) -> None:
     """Raise an error if particle, momenta or angles are wrong."""
     from cgemit.particles.gun import Gun
 
-    name = "p" if arguments.pt is None else "pt"
-    angles = {angle: getattr(arguments, angle) for angle in ("cos_theta", "theta")}
-    if set(angles.values()) == {None}:
-        angles["cos_theta"] = 0.0
+    given = {name: getattr(arguments, name) for name in ("p", "pt", "cos_theta", "theta", "eta", "phi")}
+    given = {name: value for name, value in given.items() if value is not None}
+    if not given.keys() & {"p", "pt"}:
+        if arguments.against is None:
+            raise options.InputError("got no --p or --pt; expected one of them, or --against AXIS=VALUES")
+        given["p"] = 1.0
+    if not given.keys() & {"cos_theta", "theta", "eta"}:
+        given["cos_theta"] = 0.0
+    if arguments.d is not None and arguments.method != "mc":
+        raise options.InputError(f"--d: got --method {arguments.method}; expected mc")
     for particle in arguments.particle or ["mu-"]:
-        Gun(particle, **{name: getattr(arguments, name)}, **angles)
+        Gun(particle, **given)
 
 
 def _scans(
-    arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings
+    arguments: argparse.Namespace, detectors: Sequence[Detector], settings: Settings, against: Any
 ) -> tuple[list[Scan], list[AnalyticScan]]:
     """Return the scans of all detectors by simulation and by the covariance, as far as they are asked for."""
     from cgemit.study.scan import scan_analytic, scan_detectors
 
-    how = {name: getattr(arguments, name) for name in ("cos_theta", "theta", "seed", "threads")}
-    how |= {"settings": settings, "momenta": arguments.p, "pt": arguments.pt}
+    names = ("p", "pt", "cos_theta", "theta", "eta", "phi", "seed", "threads")
+    how = {name: getattr(arguments, name) for name in names} | {"settings": settings, "against": against}
     particles = arguments.particle or ["mu-"]
     points: list[Scan] = []
     lines: list[AnalyticScan] = []
@@ -248,7 +301,7 @@ def _scans(
         if arguments.method != "mc":  # first, since it is quick to find what is wrong
             lines = [scan_analytic(one, particle=particle, **how) for particle in particles for one in detectors]
         if arguments.method != "analytic":
-            how |= {"events": arguments.events, "finder": arguments.finder or "truth"}
+            how |= {"events": arguments.events, "finder": arguments.finder or "truth", "d": arguments.d}
             points = scan_detectors(detectors, particles, progress=progress, **how)
     return points, lines
 

@@ -241,15 +241,17 @@ def covariance_at(
         tracks, columns = at_cylinders(tracks, np.repeat(points.radius.ravel(), tracks.samples))
     p, cos_theta = (np.asarray(0.5 * (low + high)) for low, high in (points.p, points.cos_theta))
     # Other detectors share points: whoever changes these arrays changes copies.
-    phi, radius = points.phi[0].copy(), points.radius.copy()
+    phi, radius = points.phi.copy(), points.radius.copy()
     return Covariance(detector, points.particle, p, cos_theta, phi, radius, points, tracks, columns)
 
 
-def entries_at(points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings) -> Entries:
+def entries_at(
+    points: Points, detector: Detector, digitize: DigitizeSettings, fit: FitSettings, mixed: int = 1
+) -> Entries:
     """Return what `core_widths` needs of a detector at points at the origin, on one core; see `covariance_at`."""
     sample, tracks = tracks_at(points, detector, digitize, fit, 1)
     out = tracks.run(budget=False)
-    return Entries(sample, out["covariance"], out["status"])
+    return Entries(sample, out["covariance"], out["status"], mixed)
 
 
 def tracks_at(

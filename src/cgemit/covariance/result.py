@@ -35,16 +35,19 @@ class Entries:
 
     Attributes
     ----------
-    sample : Sample
+    sample : Sample or Tracks
     covariance : ndarray, (tracks, 15) float64
         The upper triangle, NaN without a covariance.
     status : ndarray, (tracks,) int8
         `FitStatus`.
+    mixed : int
+        Neighbouring points that are one mixture.
     """
 
-    sample: Sample
+    sample: Sample | Tracks
     covariance: Floats
     status: npt.NDArray[np.int8]
+    mixed: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +56,14 @@ class Widths:
 
     Attributes
     ----------
-    sigma : mapping of str to ndarray, float64
-        Core resolution of each quantity, in its quoted unit.
+    sigma, rms : mapping of str to ndarray, float64
+        Core resolution of each quantity, and root of its mean variance, in its quoted unit.
     status : ndarray, int8
     reached : ndarray, float64
     """
 
     sigma: Mapping[str, Floats]
+    rms: Mapping[str, Floats]
     status: npt.NDArray[np.int8]
     reached: Floats
 
@@ -89,21 +93,24 @@ def _parts(entries: Sequence[Entries]) -> Iterator[Sequence[Entries]]:
 
 def _together(entries: Sequence[Entries], quantities: Sequence[str]) -> Iterator[Widths]:
     sample, count = entries[0].sample, len(entries)
-    samples = len(sample.phases)
+    samples = len(sample.phases) * entries[0].mixed
     n_points = sample.kappa.size // samples
     covariance = np.stack([one.covariance for one in entries])
     at = sample.kappa, sample.tanl, sample.charge
-    every = np.array([quantity_of(name).variance(covariance, *at) for name in quantities])
-    sigma = core_width(every.reshape(-1, samples)).reshape(len(quantities), count, -1)
+    every = np.array([quantity_of(name).variance(covariance, *at) for name in quantities]).reshape(-1, samples)
+    with np.errstate(invalid="ignore"):
+        rms = np.sqrt(mean(every, ~np.isnan(every))).reshape(len(quantities), count, -1)
+    sigma = core_width(every).reshape(rms.shape)
     status, reached = status_of(np.stack([one.status for one in entries]).reshape(-1, samples))
     weak = unconstrained(covariance, sample.kappa, sample.tanl, samples).ravel()
     status[weak] = FitStatus.unconstrained
-    for row, name in zip(sigma, quantities, strict=True):
+    for number, name in enumerate(quantities):
         if quantity_of(name).is_momentum:
-            row.reshape(-1)[weak] = np.nan
+            sigma[number].reshape(-1)[weak] = rms[number].reshape(-1)[weak] = np.nan
     for i in range(count):
         points = slice(i * n_points, (i + 1) * n_points)
-        yield Widths(dict(zip(quantities, sigma[:, i], strict=True)), status[points], reached[points])
+        core, root = (dict(zip(quantities, widths[:, i], strict=True)) for widths in (sigma, rms))
+        yield Widths(core, root, status[points], reached[points])
 
 
 def unconstrained(covariance: Floats, kappa: Floats, tanl: Floats, number: int) -> npt.NDArray[np.bool_]:
@@ -475,6 +482,10 @@ class Covariance:
         cov = np.empty((*self.p.shape, 5, 5))
         cov[..., UPPER[0], UPPER[1]] = cov[..., UPPER[1], UPPER[0]] = self._mean("covariance")
         return cov
+
+    def entries(self, mixed: int = 1) -> Entries:
+        """Return what `core_widths` needs; so many neighbouring points are one mixture."""
+        return Entries(self._tracks, self._columns["covariance"], self._columns["status"], mixed)
 
     def _mean(self, name: str) -> Floats:
         """Return the mean of a column over the samples with a covariance, shape + that of its entries."""

@@ -277,8 +277,10 @@ class Points(Part):
     Attributes
     ----------
     particle : str
-    p, cos_theta, phi : (ndarray, ndarray), float64, GeV/c, 1, rad
-        Lower and upper limits; `phi` is NaN where it is averaged.
+    p, cos_theta : (ndarray, ndarray), float64, GeV/c, 1
+        Lower and upper limits.
+    phi : ndarray, float64, rad
+        NaN where it is averaged.
     charge, mass : ndarray, float64, e and GeV/c2
     radius : ndarray, float64, mm
         Where the covariance is wanted; NaN: at the origin.
@@ -289,7 +291,7 @@ class Points(Part):
     particle: str
     p: tuple[Floats, Floats]
     cos_theta: tuple[Floats, Floats]
-    phi: tuple[Floats, Floats]
+    phi: Floats
     charge: Floats
     mass: Floats
     radius: Floats
@@ -303,7 +305,7 @@ class Points(Part):
     @cached_property
     def vary(self) -> bool:
         """Whether the tracks of a point differ."""
-        return bool(np.any(np.isnan(self.phi[0]))) or any(np.any(low != high) for low, high in (self.p, self.cos_theta))
+        return bool(np.any(np.isnan(self.phi))) or any(np.any(low != high) for low, high in (self.p, self.cos_theta))
 
     def texts(self, number: int) -> tuple[str, str]:
         """Return momentum (GeV/c) and cosine of one of the flattened points as text, ranges as ``-0.93 to 0.93``."""
@@ -371,23 +373,33 @@ def _points(
         problems.report("analytic")
     p_low, p_high = _limits("p", p, "momentum", problems)
     c_low, c_high = _limits("cos_theta", cos_theta, "", problems)
-    azimuth = (np.array(math.nan),) * 2 if phi is None else _limits("phi", phi, "angle", problems)
+    azimuth = np.array(math.nan) if phi is None else _numbers("phi", phi, "angle", problems)
+    if isinstance(phi, tuple):
+        problems.note("phi", f"the range {phi!r:.60}", "numbers, or None for all azimuths")
     at = np.array(math.nan) if radius is None else _numbers("radius", radius, "length", problems)
     charges = _numbers("charge", kind.charge if charge is None else charge, "", problems)
     masses = _numbers("mass", kind.mass if mass is None else mass, "", problems)
-    for name, given, values in (("phi", phi, azimuth), ("radius", radius, (at,))):
-        if given is not None and any(np.isnan(one).any() for one in values):
+    for name, given, values in (("phi", phi, azimuth), ("radius", radius, at)):
+        if given is not None and np.isnan(values).any():
             problems.note(name, "nan", "a number; None for all azimuths" if name == "phi" else "a number")
     if not problems:
-        arrays = {"p": p_low, "cos_theta": c_low, "phi": azimuth[0], "charge": charges, "mass": masses, "radius": at}
+        arrays = {"p": p_low, "cos_theta": c_low, "phi": azimuth, "charge": charges, "mass": masses, "radius": at}
         _check(arrays, p_high, c_high, problems)
     if samples is not None:
         check_whole("samples", samples, 1, MOST_SAMPLES, problems)
     problems.report("analytic")
-    given = np.broadcast_arrays(p_low, p_high, c_low, c_high, *azimuth, charges, masses, at)
-    p_low, p_high, c_low, c_high, phi_low, phi_high, charges, masses, at = given
-    limits = (p_low, p_high), (c_low, c_high), (phi_low, phi_high)
-    return Points(kind.name, *limits, charges, masses, at, None if samples is None else int(samples))
+    given = np.broadcast_arrays(p_low, p_high, c_low, c_high, azimuth, charges, masses, at)
+    p_low, p_high, c_low, c_high, azimuth, charges, masses, at = given
+    return Points(
+        kind.name,
+        (p_low, p_high),
+        (c_low, c_high),
+        azimuth,
+        charges,
+        masses,
+        at,
+        None if samples is None else int(samples),
+    )
 
 
 def shot_of(
@@ -451,7 +463,7 @@ def sample_of(points: Points, number: int, layers: int) -> Sample:
     drawn = draws(number, 3 + 2 * layers)
     momentum = _sampled(*points.p, drawn[:, 1])
     cosine = _sampled(*points.cos_theta, drawn[:, 2])
-    azimuth = points.phi[0].reshape(-1, 1)
+    azimuth = points.phi.reshape(-1, 1)
     psi = np.where(np.isnan(azimuth), 2 * np.pi * drawn[:, 0] - np.pi, azimuth)
     sine = np.sqrt(1 - cosine * cosine)
     kappa, tanl = (points.charge.reshape(-1, 1) / (momentum * sine)).ravel(), (cosine / sine).ravel()
@@ -466,7 +478,7 @@ def _limits(name: str, raw: Any, dimension: str, problems: Problems) -> tuple[Fl
         raw = 0.5 if raw is NO else raw
     if isinstance(raw, tuple) and len(raw) == 2:
         low, high = (_numbers(f"{name}[{i}]", one, dimension, problems) for i, one in enumerate(raw))
-        if low.shape or high.shape or low > high:
+        if low.shape != high.shape or np.any(low > high):
             problems.note(name, f"{raw!r:.60}", "a range (low, high) of numbers")
         return low, high
     values = _numbers(name, raw, dimension, problems)

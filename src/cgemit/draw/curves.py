@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -159,8 +159,9 @@ def _label_spectrum(axes: Axes, spectrum: Spectrum, title: str, headroom: float 
 
 
 def draw_curves(
-    axes: Axes, curves: Sequence[Line], y_label: str, x_label: str, paper: tuple[float, float] | None = None
-) -> None:
+    axes: Axes, curves: Sequence[Line], y_label: str, x_label: str, paper: tuple[float, float] | None = None,
+    ticks: Floats | None = None,
+) -> None:  # fmt: skip
     """Draw curves with errors into axes, in one colour per detector.
 
     Parameters
@@ -172,6 +173,9 @@ def draw_curves(
         Without the unit.
     paper : (float, float), optional
         A published point.
+    ticks : ndarray, (n,) float64, optional
+        Where the axis has ticks, as far as their labels have room. Default: of momenta over a decade those of the
+        curves, else round numbers.
     """
     look_of = dict(zip(dict.fromkeys(curve.detector for curve in curves), looks(), strict=False))
     methods = {curve.method for curve in curves}
@@ -194,11 +198,11 @@ def draw_curves(
         axes.plot(*paper, "*", zorder=5, label="paper, CGEM", **star)
     x_unit, y_unit = (f"  ({shown(unit)})" if unit else "" for unit in (curves[0].x_unit, curves[0].y_unit))
     axes.set(xlabel=x_label + x_unit, ylabel=mathematical(y_label) + y_unit)
-    _limit_curves(axes, curves, paper)
+    _limit_curves(axes, curves, paper, ticks)
     grid(axes)
 
 
-def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float] | None) -> None:
+def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float] | None, ticks: Floats | None) -> None:
     """Show every point with its error bar, and every x of the curves, also without a point."""
     x, y, error = (np.concatenate([getattr(curve, name) for curve in curves]) for name in ("x", "y", "y_error"))
     asked = x[np.isfinite(x)]
@@ -207,7 +211,9 @@ def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float]
     if len(np.unique(asked)) == 1:  # around a single point the labels of the ticks would overlap
         axes.set_xticks(asked[:1])
     elif curves[0].x_unit == "GeV/c" and 0 < _DECADE * asked.min() <= asked.max():
-        _scale_momenta(axes, curves)
+        _scale_momenta(axes, curves, ticks)
+    elif ticks is not None and len(ticks) <= _MOST_TICKS:
+        _set_ticks(axes, ticks, _ROOM * (asked.max() - asked.min()))
     drawn = np.isfinite(y)
     tops = [*(y + np.nan_to_num(error))[drawn], *([paper[1]] if paper else [])]
     axes.set_ylim(0, 1.08 * max(tops, default=1.0))
@@ -217,23 +223,27 @@ def _limit_curves(axes: Axes, curves: Sequence[Line], paper: tuple[float, float]
         axes.text(0.5, 0.5, note, transform=axes.transAxes, ha="center", color=COLORS["text"])
 
 
-def _scale_momenta(axes: Axes, curves: Sequence[Line]) -> None:
+def _scale_momenta(axes: Axes, curves: Sequence[Line], ticks: Floats | None) -> None:
     """Make the axis of momenta logarithmic, with ticks where tracks were simulated as far as their labels have room."""
     points = [curve for curve in curves if curve.method != "analytic"] or curves
-    x = np.unique(np.concatenate([curve.x for curve in points]))
+    x = np.unique(np.concatenate([curve.x for curve in points])) if ticks is None else ticks
     x = x[np.isfinite(x)]
     if len(x) > _MOST_TICKS:
         x = np.array([digit * 10.0**power for power in range(-3, 4) for digit in (1, 2, 5)])
         x = x[(x >= min(curve.x.min() for curve in curves)) & (x <= max(curve.x.max() for curve in curves))]
-    room = _ROOM * math.log(x[-1] / x[0])
-    ticks = [x[-1]]
-    for tick in x[-2::-1]:
-        if math.log(ticks[-1] / tick) >= room:
-            ticks.append(tick)
     axes.set_xscale("log")
     axes.autoscale_view(scaley=False)
-    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    _set_ticks(axes, x, _ROOM * math.log(x[-1] / x[0]), math.log)
     axes.xaxis.set_minor_locator(NullLocator())
+
+
+def _set_ticks(axes: Axes, x: Floats, room: float, scale: Callable[[float], float] = float) -> None:
+    """Set ticks at values in increasing order, from the last one on, where they are so far apart on a scale."""
+    ticks = [x[-1]]
+    for tick in x[-2::-1]:
+        if scale(ticks[-1]) - scale(tick) >= room * (1 - 1e-9):
+            ticks.append(tick)
+    axes.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
 
 
 #: Momenta that span this factor have a logarithmic axis; ticks at points, at most; share of the axis of a label.
@@ -567,12 +577,13 @@ def _errors(plot: Axes, summary: dict[str, dict[str, float]]) -> None:
 
 
 def resolutions(scans: Sequence[Any]) -> Picture:
-    """Draw the core resolutions of scans against momentum.
+    """Draw the core resolutions of scans against what their rows differ in.
 
     Parameters
     ----------
     scans : sequence of Scan or AnalyticScan
-        Results of `cgemit.study.scan` and `cgemit.study.scan_analytic`: simulated ones are points, analytic ones lines.
+        Results of `cgemit.study.scan` and `cgemit.study.scan_analytic` against the same values, where the axis has its
+        ticks: simulated ones are points, analytic ones lines.
 
     Returns
     -------
@@ -588,7 +599,9 @@ def resolutions(scans: Sequence[Any]) -> Picture:
     """
     scans = [scans] if hasattr(scans, "all_lines") else list(scans)
     named = _named([scan.all_lines for scan in scans])
-    transverse = scans[0].orders[0].gun.p is None
+    against = scans[0].against
+    symbol = "$p_T$" if against.name == "pt" else plain(against.symbol)
+    ticks = np.unique(np.concatenate([scan.against.x for scan in scans]))
     with style():
         count = -(-len(REPORTED) // 3)
         picture, axes = new_picture(count, 3, (13.2, 3.6 * count + 0.4))
@@ -596,7 +609,9 @@ def resolutions(scans: Sequence[Any]) -> Picture:
             plot.remove()
         for plot, name in zip(axes, REPORTED, strict=False):
             curves = [line for lines in named for line in lines if line.id == f"sigma_{name}"]
-            draw_curves(plot, curves, QUANTITIES[name].sigma, "$p_T$" if transverse else "p")
+            draw_curves(plot, curves, QUANTITIES[name].sigma, symbol, ticks=ticks)
+            if against.words:
+                plot.set_xticks(against.x, [plain(word) for word in against.words])
         entries = legend_entries(axes)
         if entries:
             picture.legend(entries.values(), entries.keys(), loc="lower center", ncols=min(4, len(entries)))
@@ -607,10 +622,11 @@ def resolutions(scans: Sequence[Any]) -> Picture:
 
 def about(scans: Sequence[Any]) -> str:
     """Return particles, angle, number of events, readout and finder of some scans as text."""
-    particles = ", ".join(dict.fromkeys(str(scan.orders[0].gun.particle) for scan in scans))
-    parts = [f"{particles}, {scans[0].angle}"]
+    particles = ", ".join(dict.fromkeys(scan.particle for scan in scans))
+    parts = [f"{particles}, {scans[0].fixed}"]
     events = dict.fromkeys(scan.orders[0].n_events for scan in scans if scan.method == "mc")
-    parts += [f"{n:,} simulated events at each momentum" for n in events]
+    each = "momentum" if scans[0].against.name in ("p", "pt") else "point"
+    parts += [f"{n:,} simulated events at each {each}" for n in events]
     readouts = ", ".join(dict.fromkeys(scan.readout for scan in scans if scan.readout))
     parts += [f"readout {readouts}"] if readouts else []
     parts += [f"hits {hits}" for hits in dict.fromkeys(scan.hits for scan in scans if scan.hits)]

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from cgemit.analysis.quantities import QUANTITIES, quantity_of
+from cgemit.analysis.quantities import KINEMATICS, QUANTITIES, quantity_of
 from cgemit.base.arrays import Floats
 from cgemit.covariance.result import Budget, By, Covariance
 from cgemit.covariance.sensitivity import Sensitivity
@@ -402,15 +402,12 @@ def escaped(text: str) -> str:
 
 def points(columns: Columns) -> list[tuple[str, Any]]:
     """Return each point (momentum and angle) of a table as text with the rows that it has, (n,) bool."""
-    names = [name for name in ("p (GeV/c)", "cos_theta") if name in columns]
-    rows = list(zip(*(columns[name] for name in names), strict=True)) if names else [()] * len(columns["variant"])
+    known = [one for one in KINEMATICS.values() if one.header in columns]
+    values = [columns[one.header] for one in known]
+    rows = list(zip(*values, strict=True)) if known else [()] * len(columns["variant"])
     rows_of = []
     for point in dict.fromkeys(rows):
-        texts = {"p (GeV/c)": "p = {} GeV/c", "cos_theta": "cos θ = {}"}
-        text = ", ".join(
-            texts[name].format(one if isinstance(one, str) else f"{one:g}")
-            for name, one in zip(names, point, strict=True)
-        )
+        text = ", ".join(one.text(value) for one, value in zip(known, point, strict=True))
         rows_of.append((text, np.array([row == point for row in rows])))
     return rows_of
 

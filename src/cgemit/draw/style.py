@@ -16,6 +16,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from cgemit.analysis.quantities import KINEMATICS
 from cgemit.base.errors import did_you_mean
 from cgemit.base.files import new_file
 from cgemit.base.validate import InTurn
@@ -225,10 +226,6 @@ def fills(number: int) -> list[tuple[str, str]]:
     return [(SERIES[i % len(SERIES)], _HATCHES[i // len(SERIES) % len(_HATCHES)]) for i in range(number)]
 
 
-_NAMES = {"p": "p = {} GeV/c", "pt": "pT = {} GeV/c", "theta": "θ = {} rad", "cos_theta": "cos θ = {}",
-          "eta": "η = {}"}  # fmt: skip
-
-
 def shot_text(source: Source | Guns | None) -> str:
     """Return particle, momentum and angle of a gun, or of several, as text.
 
@@ -243,12 +240,13 @@ def shot_text(source: Source | Guns | None) -> str:
         if not isinstance(gun, Gun):
             texts.append(repr(gun))
             continue
-        given = {name: text for name, text in _NAMES.items() if getattr(gun, name) is not None}
-        texts.append(", ".join([str(gun.particle), *(t.format(_value(getattr(gun, n))) for n, t in given.items())]))
+        given = {name: getattr(gun, name) for name in ("p", "pt", "theta", "cos_theta", "eta")}
+        shot = [KINEMATICS[name].text(_value(value)) for name, value in given.items() if value is not None]
+        texts.append(", ".join([str(gun.particle), *shot]))
     return "; ".join(texts) or "given particles"
 
 
-def _value(value: Any) -> str:
-    if isinstance(value, InTurn):
-        return ", ".join(f"{one:g}" for one in value.values[:5]) + (", ..." if len(value.values) > 5 else "")
-    return f"{value[0]:g} to {value[1]:g}" if isinstance(value, tuple) else f"{value:g}"
+def _value(value: Any) -> Any:
+    if not isinstance(value, InTurn):
+        return value
+    return ", ".join(f"{one:g}" for one in value.values[:5]) + (", ..." if len(value.values) > 5 else "")

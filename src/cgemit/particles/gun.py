@@ -397,12 +397,8 @@ def _momenta(gun: Gun) -> Array:
     name = next(name for name in ("theta", "cos_theta", "eta") if getattr(gun, name) is not None)
     polar = _ends(getattr(gun, name))
     middle = float(np.mean([polar.min(), polar.max()]))
-    sines = {
-        "theta": math.sin,
-        "cos_theta": lambda cosine: math.sqrt(1 - cosine**2),
-        "eta": lambda eta: 1 / math.cosh(eta),
-    }
-    return _ends(gun.pt) / sines[name](middle)
+    sines = {"theta": np.sin(middle), "cos_theta": np.sqrt(max(0.0, 1 - middle**2)), "eta": 1 / np.cosh(middle)}
+    return np.asarray(_ends(gun.pt) / sines[name])
 
 
 def _ends(value: object) -> Array:

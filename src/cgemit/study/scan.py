@@ -1,4 +1,4 @@
-"""Resolutions against momentum and angle, simulated and analytic, as lines to draw and rows to write."""
+"""Resolutions against kinematics or a key of the design, simulated and analytic, as lines to draw and rows to write."""
 
 from __future__ import annotations
 
@@ -11,132 +11,111 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from cgemit.analysis.curves import Line
-from cgemit.analysis.quantities import MAIN, QUANTITIES, REPORTED, median, median_error
-from cgemit.analysis.resolutions import FORMS, FormFit, fit_form, resolution
-from cgemit.analysis.widths import Resolution, core_sigma, jackknife, without_groups
+from cgemit.analysis.quantities import KINEMATICS, MAIN, QUANTITIES, REPORTED, median_error
+from cgemit.analysis.resolutions import FORMS, FormFit, fit_form
+from cgemit.analysis.widths import Resolution
 from cgemit.base.arrays import Floats
+from cgemit.base.errors import Problems
 from cgemit.base.files import SUMMARY, new_folder
-from cgemit.base.validate import InTurn, check_numbers
+from cgemit.base.validate import NO, check_numbers
 from cgemit.base.version import __version__
-from cgemit.chain.record import gun_data, record, write_record
+from cgemit.chain.record import record, write_record
 from cgemit.chain.settings import FinderLike, Settings, hits_text, mass_by
-from cgemit.covariance.analytic import analytic
-from cgemit.covariance.result import Covariance
-from cgemit.covariance.tracks import core_width, mean
+from cgemit.covariance.result import Covariance, Widths, core_widths
 from cgemit.detector import Detector, load
 from cgemit.detector.export import write_files
+from cgemit.particles.gun import Gun
 from cgemit.particles.species import HYPOTHESES, species
-from cgemit.reconstruction.candidates import finder_name
-from cgemit.study import samples
-from cgemit.study.samples import (
-    Order,
+from cgemit.study.evaluation import (
+    DIFFERENCES,
+    MOMENTA,
+    POLAR,
+    READERS,
+    Columns,
+    Expectation,
+    Point,
     Sample,
     ShowProgress,
-    angle_of,
+    about_point,
+    at_gun,
     cosines_of,
-    decayed,
-    fitted,
-    gun_arguments,
+    counts_text,
+    difference_columns,
+    guns_of,
     hardly_fitted,
-    momentum_name,
-    momentum_of,
-    momentum_orders,
+    leading_columns,
+    points_at,
+    row_columns,
     run_samples,
-    transverse,
+    text_of,
     why_unfitted,
 )
+from cgemit.study.sweep.space import axis_of, key_problems, value_problems
 from cgemit.tables.schema import FitStatus
 from cgemit.tables.show import Shown, Tabular, text_table, with_error, write_csv
 
-Columns = dict[str, list[Any]]
+#: What rows of a scan go through: the name of a list, or a key with its values.
+Against = str | Mapping[str, Any]
+#: A number, a range, or a list of these, also as text.
+Values = Any
 
 
-def leading_columns(orders: Sequence[Order], method: str) -> Columns:
-    """Return the columns that say what a row is about: detector, particle, method, momentum and angle."""
-    columns: Columns = {
-        "name": [order.detector.name for order in orders],
-        "hash": [order.detector.content_hash for order in orders],
-        "particle": [str(order.gun.particle) for order in orders],
-        "method": [method] * len(orders),
-        f"{momentum_name(orders[0])} (GeV/c)": [momentum_of(order) for order in orders],
-    }
-    name = angle_of(orders[0])[0]
-    return columns | {"theta (rad)" if name == "theta" else name: [angle_of(order)[1] for order in orders]}
+@dataclass(frozen=True)
+class Axis:
+    """What the rows of a scan differ in.
 
-
-def scan_columns(samples: Sequence[Sample]) -> Columns:
-    """Return the widths of all quantities for each momentum.
-
-    `sigma` is the core width, as in sweeps; `median_error` the median of the fit's own errors.
-    """
-    columns = leading_columns(samples, "mc") | {"events": [s.n_events for s in samples]}
-    for name in REPORTED:
-        column, widths = QUANTITIES[name].column, [resolution(s.tracks, name) for s in samples]
-        columns |= {
-            column("sigma"): [w.core for w in widths],
-            column("sigma", "_error"): [w.core_error for w in widths],
-        }
-        columns |= {column("q68"): [w.q68 for w in widths], column("q68", "_error"): [w.q68_error for w in widths]}
-        columns |= {column("rms"): [w.rms for w in widths], column("rms", "_error"): [w.rms_error for w in widths]}
-        columns[f"tail_{name}"] = [w.tail for w in widths]
-        columns[column("median_error")] = [median_error(s.tracks, name) for s in samples]
-    columns["decayed"] = [decayed(s) for s in samples]
-    columns["fitted"] = [fitted(s) for s in samples]
-    columns["left out"] = [counts_text(s.removed) for s in samples]
-    return columns
-
-
-def counts_text(counts: Mapping[str, int]) -> str:
-    """Return counts by name as text."""
-    return "; ".join(f"{number} {name}" for name, number in counts.items()) or "none"
-
-
-def difference(
-    sample: Sample, base: Sample, quantity: str, kind: Literal["sigma", "median_error"] = "sigma"
-) -> tuple[float, float]:
-    """Return how much larger a resolution is than in another sample of the same events, with its paired error.
-
-    The error follows from leaving out one of 20 groups of events in turn (jackknife), so that the correlation of both
-    samples counts.
-
-    Parameters
+    Attributes
     ----------
-    sample, base : Sample
-        Of the same gun and seed.
-    quantity : str
-        Of `QUANTITIES`.
-    kind : str
-        The core width of the residuals, or the median of the fit's own errors.
+    name : str
+        One of `KINEMATICS`, or a dotted key of the detector file.
+    unit : str
+    values : tuple
+        Numbers, or texts.
+    detector : Detector or None
+        Whose key is varied.
     """
-    known, widths, replicas = QUANTITIES[quantity], [], []
-    for tracks in (sample.tracks, base.tracks):
-        values, statistic = (known.residual(tracks), core_sigma) if kind == "sigma" else (known.error(tracks), median)
-        rows = known.counts(tracks) & np.isfinite(values)  # tracks of no particle have no residual
-        values = values[rows]
-        widths.append(statistic(values))
-        replicas.append(without_groups(values, tracks["event"][rows], statistic))
-    return widths[0] - widths[1], jackknife(replicas[0] - replicas[1])
 
+    name: str
+    unit: str
+    values: tuple[Any, ...]
+    detector: Detector | None = None
 
-#: Kinds of `difference`.
-_KINDS: tuple[Literal["sigma", "median_error"], ...] = ("sigma", "median_error")
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The values if they are texts, else none."""
+        return () if all(isinstance(value, float) for value in self.values) else tuple(map(str, self.values))
 
+    @property
+    def x(self) -> Floats:
+        """The values, or their numbers from 0 on if they are texts."""
+        return np.array(range(len(self.values)) if self.words else self.values, np.float64)
 
-def difference_columns(samples: Sequence[Sample], bases: Sequence[Sample]) -> Columns:
-    """Return the columns of the differences to other samples of the same events."""
-    columns: Columns = {}
-    for name in REPORTED:
-        for kind in _KINDS:
-            pairs = [difference(*pair, name, kind) for pair in zip(samples, bases, strict=True)]
-            columns[QUANTITIES[name].column(f"delta_{kind}")] = [value for value, _ in pairs]
-            columns[QUANTITIES[name].column(f"delta_{kind}", "_error")] = [error for _, error in pairs]
-    return columns
+    @property
+    def head(self) -> str:
+        """Name with the unit, as in printed tables."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def symbol(self) -> str:
+        """What stands at the axis of a picture, without the unit."""
+        return KINEMATICS[self.name].symbol if self.name in KINEMATICS else self.name
+
+    def text(self, number: int) -> str:
+        """Return a value as text."""
+        value = self.values[number]
+        return f"{value:g}" if isinstance(value, float) else str(value)
+
+    def at(self, numbers: Sequence[int]) -> str:
+        """Return some of the values as text, such as ``0.3, 1 GeV/c`` or ``cos θ = 0.5``."""
+        before = "" if self.name in MOMENTA else f"{self.symbol} = "
+        unit = f" {self.unit}" if self.unit else ""
+        return before + ", ".join(self.text(number) for number in numbers) + unit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,32 +124,32 @@ class Differences(Shown, Tabular):
 
     Attributes
     ----------
-    samples, bases : tuple of Sample
+    scan, base : Scan
         Of the detector, and of the one that is subtracted.
     """
 
-    samples: tuple[Sample, ...]
-    bases: tuple[Sample, ...]
+    scan: Scan
+    base: Scan
 
     def columns(self) -> Columns:
-        """Return momenta, angles, and the differences of all quantities with their paired errors."""
-        return leading_columns(self.samples, "mc") | difference_columns(self.samples, self.bases)
+        """Return what the rows differ in, and the differences of all quantities with their paired errors."""
+        return self.scan.leading() | difference_columns(self.scan.samples, self.base.samples)
 
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
-        first, base = self.samples[0], self.bases[0]
         title = (
-            f"{first.detector.name} minus {base.detector.name}, {first.gun.particle}: differences of core widths "
-            "(sigma) and of medians of the fit's errors, with paired errors"
+            f"{self.scan.detector.name} minus {self.base.detector.name}, {self.scan.particle}: differences of core "
+            "widths (sigma) and of medians of the fit's errors, with paired errors"
         )
-        head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
+        head = [self.scan.against.head, *(text for name in MAIN for text in _head(name))]
+        pairs = zip(self.scan.samples, self.base.samples, strict=True)
         rows = [
-            [
-                f"{momentum_of(pair[0]):g}",
-                *(_signed(*difference(*pair, name, kind)) for name in MAIN for kind in _KINDS),
-            ]
-            for pair in zip(self.samples, self.bases, strict=True)
+            [self.scan.against.text(i), *(_signed(*one.minus(other, *what)) for what in _COMPARED)]
+            for i, (one, other) in enumerate(pairs)
         ]
         return title, head, rows
+
+
+_COMPARED = [(name, kind) for name in MAIN for kind in DIFFERENCES]
 
 
 def _signed(value: float, error: float) -> str:
@@ -184,52 +163,47 @@ def _head(name: str) -> tuple[str, str]:
     return f"{QUANTITIES[name].sigma} [{QUANTITIES[name].unit}]", "median error"
 
 
-def shot_text(order: Order) -> str:
-    """Return particle and angle of the tracks as text."""
-    return f"{order.gun.particle}, {angle_text(order)}"
-
-
-def angle_text(order: Order) -> str:
-    """Return the angle of the tracks as text."""
-    name, value = angle_of(order)
-    text = f"{value:g}" if isinstance(value, float) else str(value).replace(":", " to ")
-    unit = " rad" if name == "theta" else ""
-    return f"{'θ' if name == 'theta' else 'cos θ'} = {text}{unit}"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ScanBase(Shown, Tabular):
-    """Resolutions of one detector against momentum, simulated or analytic.
+    """Resolutions of one detector against kinematics or a key of the design, simulated or analytic.
 
     Attributes
     ----------
-    orders : tuple of Order
-        One for each momentum: detector, gun, settings and number of events.
+    orders : tuple of Point
+        One for each row: detector, gun, settings and number of events.
     seed : int
     seconds : float
         Wall time.
+    against : Axis
+        What the rows differ in.
     """
 
-    orders: tuple[Order, ...]
+    orders: tuple[Point, ...]
     seed: int
     seconds: float
+    against: Axis
 
     method: ClassVar[str]
 
     @property
     def detector(self) -> Detector:
-        """The detector."""
-        return self.orders[0].detector
+        """The detector, that of the varied key without the change."""
+        return self.against.detector or self.orders[0].detector
 
     @property
-    def angle(self) -> str:
-        """Polar angle of the tracks, as text."""
-        return angle_text(self.orders[0])
+    def particle(self) -> str:
+        """The particle."""
+        return str(self.orders[0].gun.particle)
 
     @property
-    def momenta(self) -> list[float]:
-        """Momenta or transverse momenta of the orders, GeV/c."""
-        return [momentum_of(order) for order in self.orders]
+    def fixed(self) -> str:
+        """Momentum, angle and the rest of what all rows have, as text; a range is a mixture of tracks."""
+        texts = []
+        for name, known in KINEMATICS.items():
+            value = at_gun(self.orders[0].gun, name)
+            if name != self.against.name and value is not None:
+                texts.append(known.text(value) + (" (mixture)" if isinstance(value, tuple) else ""))
+        return ", ".join(texts)
 
     @property
     def hits(self) -> str:
@@ -248,23 +222,30 @@ class ScanBase(Shown, Tabular):
 
     @property
     def readout(self) -> str:
-        """Readout of the CGEM layers; empty for a detector without them."""
-        first = self.orders[0]
-        return first.detector.readout_text
+        """Readout of the CGEM layers; empty for a detector without them, or if it is varied."""
+        texts = {one.detector.readout_text for one in self.orders}
+        return texts.pop() if len(texts) == 1 else ""
+
+    def leading(self) -> Columns:
+        """Return the columns that say what the rows are about."""
+        columns = leading_columns(self.orders, self.method)
+        if self.against.detector is not None:
+            columns[self.against.head.replace("[", "(").replace("]", ")")] = list(self.against.values)
+        return columns
 
     @property
     def lines(self) -> list[Line]:
-        """Core resolutions of d_rho, d_z and p against momentum."""
+        """Core resolutions of d_rho, d_z and p."""
         return [self.line(name) for name in MAIN]
 
     @cached_property
     def all_lines(self) -> list[Line]:
-        """Core resolutions of all quantities against momentum, or transverse momentum."""
-        about: dict[str, Any] = {"method": self.method, "particle": str(self.orders[0].gun.particle)}
+        """Core resolutions of all quantities."""
+        about: dict[str, Any] = {"method": self.method, "particle": self.particle}
         return [replace(self._line(name), **about) for name in REPORTED]
 
     def line(self, name: str) -> Line:
-        """Return the core resolution of one of `REPORTED` against momentum, or transverse momentum."""
+        """Return the core resolution of one of `REPORTED`."""
         return self.all_lines[REPORTED.index(name)]
 
     def _line(self, name: str) -> Line:
@@ -272,14 +253,14 @@ class ScanBase(Shown, Tabular):
 
     @cached_property
     def fits(self) -> list[FormFit]:
-        """The usual forms, fitted to the lines; none with fewer than three momenta, or against pT.
+        """The usual forms, fitted to the lines; none with fewer than three momenta, or against anything else than p.
 
         Analytic lines have no statistical error: their points have equal relative weights.
         """
-        first = self.orders[0]
-        if transverse(first):
+        if self.against.name != "p" or self.against.words:
             return []
-        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first)}
+        first = self.orders[0]
+        how: dict[str, Any] = {"particle": first.gun.particle, "cos_theta": cosines_of(first.gun)}
         how |= {"detector": self.detector.name, "method": self.method}
         lines = [(name, self.line(name)) for name in FORMS]
         error = {name: None if self.method == "analytic" else line.y_error for name, line in lines}
@@ -287,7 +268,7 @@ class ScanBase(Shown, Tabular):
         return [one for one in found if one is not None]
 
     def empty(self) -> bool:
-        """Tell whether there is no resolution at any momentum."""
+        """Tell whether there is no resolution in any row."""
         raise NotImplementedError
 
     def summary(self) -> dict[str, Any]:
@@ -313,14 +294,17 @@ class ScanBase(Shown, Tabular):
 def summary_of(scans: Sequence[ScanBase]) -> dict[str, Any]:
     """Return what `summary.json` holds: the curves of all detectors and methods, for the same gun."""
     simulated = [scan for scan in scans if scan.method == "mc"]
-    first = scans[0].orders[0]
-    angle = angle_of(first)[0]
-    value = getattr(first.gun, angle)
-    particles = list(dict.fromkeys(scan.orders[0].gun.particle for scan in scans))
-    inputs: dict[str, Any] = {"detectors": list(_detectors(scans))}
+    first, against = scans[0].orders[0], scans[0].against
+    particles = list(dict.fromkeys(scan.particle for scan in scans))
+    inputs: dict[str, Any] = {"detectors": list({scan.detector.name: None for scan in scans})}
     inputs |= {"particle": particles[0]} if len(particles) == 1 else {"particles": particles}
-    inputs[angle] = list(value.values) if isinstance(value, InTurn) else value
-    inputs["momenta" if momentum_name(first) == "p" else "pt"] = [momentum_of(order) for order in scans[0].orders]
+    for name in KINEMATICS:
+        values = list(dict.fromkeys(at_gun(order.gun, name) for order in scans[0].orders))
+        if values != [None]:
+            listed = name in MOMENTA or len(values) > 1
+            inputs["momenta" if name == "p" else name] = values if listed else values[0]
+    inputs |= {"against": against.name} if against.name not in MOMENTA else {}
+    inputs |= {against.head: list(against.values)} if against.detector is not None else {}
     if simulated:
         inputs["events"] = simulated[0].orders[0].n_events
     methods = {scan.method for scan in scans}
@@ -347,7 +331,7 @@ def save_scans(
     Parameters
     ----------
     scans : sequence of Scan or AnalyticScan
-        Same angles and momenta; each detector and particle with one scan of a method, detectors of distinct names. Of
+        Against the same values; each detector and particle with one scan of a method, detectors of distinct names. Of
         several detectors, each is written to a file of its own, ``detector-1-NAME.toml``.
     folder : path
     overwrite : bool
@@ -361,14 +345,17 @@ def save_scans(
     """
     from cgemit.draw.curves import resolutions
 
-    detectors = _detectors(scans)
+    detectors = {order.detector.name: order.detector for scan in scans for order in scan.orders}
+    points = [(scan.method, order) for scan in scans for order in scan.orders]
+    source = [about_point(one) | ({} if method == "mc" else {"method": method}) for method, one in points]
     with new_folder(folder, overwrite=overwrite) as place:
         write_csv(place / "resolution.csv", columns_of(scans))
         names = [f"-{number}-" + re.sub(r"[^\w.-]+", "-", name)[:60] for number, name in enumerate(detectors, start=1)]
         names = names if len(detectors) > 1 else [""]
         write_files(place, {f"detector{n}.toml": one for n, one in zip(names, detectors.values(), strict=True)})
         resolutions(scans).save(place / "resolution")
-        write_record(_record(scans, command), place)
+        settings, seed = scans[0].orders[0].settings, scans[0].seed
+        write_record(record(detectors=detectors, settings=settings, seed=seed, source=source, command=command), place)
         (place / SUMMARY).write_text(json.dumps(summary_of(scans), indent=2) + "\n", encoding="utf-8")
     return Path(folder)
 
@@ -397,8 +384,7 @@ def columns_of(scans: Sequence[ScanBase]) -> dict[str, list[Any]]:
 
 def base_of(scan: ScanBase, scans: Sequence[ScanBase]) -> Scan | None:
     """Return the simulated scan of the first detector with the same particle; None for itself and analytic scans."""
-    particle = scan.orders[0].gun.particle
-    first = next((one for one in scans if isinstance(one, Scan) and one.orders[0].gun.particle == particle), None)
+    first = next((one for one in scans if isinstance(one, Scan) and one.particle == scan.particle), None)
     return first if isinstance(scan, Scan) and first is not scan else None
 
 
@@ -414,46 +400,28 @@ def fits_text(scans: Sequence[ScanBase]) -> str:
     return "\n".join(f"{kinds[scan.method]}: {fit}" for scan in scans for fit in scan.fits)
 
 
-def _detectors(scans: Sequence[ScanBase]) -> dict[str, Detector]:
-    return {scan.detector.name: scan.detector for scan in scans}
-
-
-def _record(scans: Sequence[ScanBase], command: str) -> dict[str, Any]:
-    """Return what `run.json` holds: settings and detectors, and the gun of each sample and line."""
-    source = []
-    for scan in scans:
-        for order in scan.orders:
-            about: dict[str, Any] = {"label": order.label, "detector": order.detector.name, "gun": gun_data(order.gun)}
-            about |= {"events": order.n_events, "seed": order.seed}
-            about |= {} if order.finder == "truth" else {"finder": finder_name(order.finder)}
-            source.append(about if scan.method == "mc" else about | {"method": scan.method})
-    return record(
-        detectors=_detectors(scans), settings=scans[0].orders[0].settings, seed=scans[0].seed, source=source,
-        command=command,
-    )  # fmt: skip
-
-
-def momentum_line(samples: Sequence[Sample], quantity: str) -> Line:
-    """Return the core resolution of a quantity against momentum (GeV/c) in the quoted unit."""
-    widths = [resolution(s.tracks, quantity) for s in samples]
-    return _line(samples, f"sigma_{quantity}", widths, QUANTITIES[quantity].unit)
+def line_of(samples: Sequence[Sample], quantity: str, against: Axis | None = None) -> Line:
+    """Return the core resolution of a quantity against momentum, or what else rows differ in, in the quoted unit."""
+    widths = [sample.width(quantity) for sample in samples]
+    return _line(samples, f"sigma_{quantity}", widths, QUANTITIES[quantity].unit, against)
 
 
 def pull_line(samples: Sequence[Sample], parameter: str) -> Line:
     """Return the core width of a parameter's pull against momentum (GeV/c)."""
-    return _line(samples, f"pull_{parameter}", [s.pulls[parameter] for s in samples], "")
+    return _line(samples, f"pull_{parameter}", [sample.pulls[parameter] for sample in samples], "", None)
 
 
-def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str) -> Line:
+def _line(samples: Sequence[Sample], name: str, widths: Sequence[Resolution], unit: str, against: Axis | None) -> Line:
+    against = against or Axis("p", "GeV/c", tuple(sample.gun.p for sample in samples))
     return Line(
-        name, samples[0].detector.name, np.array([momentum_of(s) for s in samples]), "GeV/c",
+        name, (against.detector or samples[0].detector).name, against.x, against.unit,
         np.array([w.core for w in widths]), np.array([w.core_error for w in widths]), unit,
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scan(ScanBase):
-    """Simulated resolutions of one detector against momentum; `orders` holds a `Sample` for each momentum.
+    """Simulated resolutions of one detector; `orders` holds a `Sample` for each row.
 
     Examples
     --------
@@ -468,7 +436,7 @@ class Scan(ScanBase):
 
     @property
     def samples(self) -> tuple[Sample, ...]:
-        """The samples, one for each momentum."""
+        """The samples, one for each row."""
         return self.orders
 
     @property
@@ -487,11 +455,11 @@ class Scan(ScanBase):
         return {s.label: s.removed for s in self.samples}
 
     def _line(self, name: str) -> Line:
-        return momentum_line(self.samples, name)
+        return line_of(self.samples, name, self.against)
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the columns of the CSV table."""
-        return scan_columns(self.samples)
+        return self.leading() | row_columns(self.samples)
 
     def minus(self, base: Scan) -> Differences:
         """Return the differences to the resolutions of another detector, with their paired errors.
@@ -509,26 +477,24 @@ class Scan(ScanBase):
         shots = [[(one.gun, one.n_events, one.seed) for one in scan.samples] for scan in (self, base)]
         if shots[0] != shots[1]:
             raise ValueError("difference of scans: got different particles, expected equal guns, events and seeds")
-        return Differences(self.samples, base.samples)
+        return Differences(self, base)
 
     def empty(self) -> bool:
         """Tell whether no track was fitted."""
-        return not any(map(fitted, self.samples))
+        return not any(sample.fitted for sample in self.samples)
 
     def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
         rows = []
         for i, sample in enumerate(self.samples):
-            row = [f"{momentum_of(sample):g}"]
-            for name, line in zip(MAIN, self.lines, strict=True):
-                row += [with_error(line.y[i], line.y_error[i]), f"{median_error(sample.tracks, name):.4g}"]
-            row += [f"{decayed(sample)}", f"{fitted(sample)}/{sample.n_events}", counts_text(sample.removed)]
-            rows.append(row)
-        first = self.samples[0]
-        shot = f"{first.detector.name}, {shot_text(first)}"
+            row = [self.against.text(i)]
+            for name in MAIN:
+                width = sample.width(name)
+                row += [with_error(width.core, width.core_error), f"{median_error(sample.tracks, name):.4g}"]
+            rows.append([*row, f"{sample.decayed}", f"{sample.fitted}/{sample.n_events}", counts_text(sample.removed)])
         parts = [self.readout and f"readout {self.readout}", f"hits {self.hits}", f"mass {self.mass}"]
-        made = ", ".join(filter(None, parts))
-        title = f"{shot}: core widths, and medians of the fit's own errors; {made}"
-        head = [f"{momentum_name(first)} [GeV/c]", *(text for name in MAIN for text in _head(name))]
+        shot = f"{self.detector.name}, {self.particle}, {self.fixed}"
+        title = f"{shot}: core widths, and medians of the fit's own errors; {', '.join(filter(None, parts))}"
+        head = [self.against.head, *(text for name in MAIN for text in _head(name))]
         return title, [*head, "decayed", "fitted", "left out"], rows
 
     def note(self) -> str:
@@ -537,15 +503,18 @@ class Scan(ScanBase):
         Tracks of status `unconstrained` are lost to the resolution of the momentum alone.
         """
         few = hardly_fitted(self.samples)
-        lines = [f"at {_momenta(few)} GeV/c: {why_unfitted(few)}"] if few else []
+        lines = [f"at {self._at(few)}: {why_unfitted(few)}"] if few else []
         for about, count in (
             ("over 5 % of the tracks are not fitted; the widths of the others may be too small", _failed),
             (_WEAK, _unconstrained),
         ):
             lost = [s for s in self.samples if count(s) > 0.05 * len(s.tracks) and not hardly_fitted([s])]
             if lost:
-                lines.append(f"at {_momenta(lost)} GeV/c: {about}")
+                lines.append(f"at {self._at(lost)}: {about}")
         return "\n".join(lines)
+
+    def _at(self, samples: Sequence[Any]) -> str:
+        return self.against.at([i for i, sample in enumerate(self.samples) if any(sample is one for one in samples)])
 
 
 #: Resolutions leave these tracks out of the momentum alone.
@@ -565,18 +534,97 @@ def _unconstrained(sample: Sample) -> int:
     return sample.removed.get(FitStatus.unconstrained.name, 0)
 
 
-def _momenta(samples: Sequence[Sample]) -> str:
-    return ", ".join(f"{momentum_of(sample):g}" for sample in samples)
+def _shots(
+    detector: Detector, particle: str | int, given: Mapping[str, Values], against: Against | None
+) -> tuple[list[Detector], list[Gun], Axis]:
+    """Return design and gun of each row, and what the rows differ in.
+
+    Raises
+    ------
+    ProblemsError
+        Listing every problem.
+    """
+    problems = Problems()
+    given = {name: value for name, value in given.items() if value is not None}
+    axis: str | None = against if isinstance(against, str) else None
+    key: str | None = None
+    if isinstance(against, Mapping):
+        if len(against) != 1:
+            problems.note("against", f"{len(against)} keys", "one key with its values")
+        for name, values in against.items():
+            if name not in KINEMATICS:
+                axis = key = name
+            elif name in given:
+                problems.note(f"against, {name}", "both", "one of them")
+            else:
+                axis, given[name] = name, values
+    elif against is not None and against not in KINEMATICS:
+        problems.note(
+            "against", repr(against), f"one of {', '.join(KINEMATICS)}, or a key of the design with its values"
+        )
+    momenta = [name for name in MOMENTA if name in given]
+    if len(momenta) > 1 or (not momenta and against is None):
+        problems.note("p, pt", " and ".join(momenta) or "none", "exactly one of them")
+    angles = [name for name in POLAR if name in given]
+    if len(angles) > 1:
+        problems.note(", ".join(POLAR), " and ".join(angles), "one of them")
+    usual = ({} if momenta else {"p": 1.0}) | ({} if angles else {"cos_theta": (-0.93, 0.93)}) | given
+    read = {name: READERS[name].read(name, usual[name], problems) for name in KINEMATICS if name in usual}
+    values = {name: list(value) for name, value in read.items() if value is not NO}
+    several = [name for name, one in values.items() if len(one) > 1]
+    axis = axis or (several[0] if several else momenta[0] if momenta else "p")
+    if others := [name for name in several if name != axis]:
+        more = "" if key is None else f" beside {key}"
+        problems.note(
+            ", ".join(dict.fromkeys([*([axis] if key is None else []), *others])), f"lists{more}",
+            "one list; the others are numbers or ranges (low, high)",
+        )  # fmt: skip
+    if key is None and any(isinstance(one, tuple) and len(values[axis]) > 1 for one in values.get(axis, ())):
+        problems.note(axis, "a range in a list", "numbers")
+    designs, known = [detector], None
+    if key is not None and isinstance(against, Mapping):
+        known, designs = _varied(detector, key, against[key], problems)
+    problems.report("scan")
+    guns = guns_of(particle, values)
+    if species(guns[0].particle).charge == 0:
+        raise ValueError(f"particle: got {particle!r}; expected a charged particle")
+    if known is None:
+        known = Axis(axis, KINEMATICS[axis].unit, tuple(_cell(one) for one in values[axis]))
+    return designs * (len(guns) // len(designs) or 1), guns * (len(designs) // len(guns) or 1), known
+
+
+def _cell(value: Any) -> Any:
+    return text_of(value, " to ") if isinstance(value, tuple) else float(value)
+
+
+def _varied(detector: Detector, key: str, given: Any, problems: Problems) -> tuple[Axis | None, list[Detector]]:
+    """Return a detector with each value of a key."""
+    values = given.tolist() if isinstance(given, np.ndarray) else given
+    if isinstance(values, str) or not isinstance(values, Sequence) or not len(values):
+        problems.note(key, repr(given), "a list of at least one value")
+        return None, []
+    pairs = [(detector, {key: value}) for value in values]
+    wrong = key_problems(pairs) + value_problems(pairs)
+    problems.extend(wrong)
+    designs = [problems.collect(detector.with_overrides, {key: value}) for value in values] if not wrong else []
+    header, (_, *cells) = axis_of(key, detector, values)
+    name, _, unit = header.partition(" (")
+    cells = [float(one) if isinstance(one, int | float) and not isinstance(one, bool) else str(one) for one in cells]
+    return Axis(name, unit.removesuffix(")"), tuple(cells), detector), [one for one in designs if one is not None]
 
 
 def scan(
     detector: Detector | str | Mapping[str, Any],
-    momenta: Sequence[float] | None = None,
+    p: Values | None = None,
     *,
-    pt: Sequence[float] | None = None,
+    pt: Values | None = None,
     particle: str | int = "mu-",
-    cos_theta: float | tuple[float, float] | list[float] | None = None,
-    theta: Any = None,
+    cos_theta: Values | None = None,
+    theta: Values | None = None,
+    eta: Values | None = None,
+    phi: Values | None = None,
+    d: Values | None = None,
+    against: Against | None = None,
     events: int = 5000,
     seed: int = 1,
     settings: Settings | None = None,
@@ -584,20 +632,30 @@ def scan(
     threads: int | None = None,
     progress: ShowProgress | None = None,
 ) -> Scan:
-    """Simulate and fit tracks at several momenta.
+    """Simulate and fit tracks against momentum, angle, distance of the origin, or a key of the design.
+
+    A number is fixed, a tuple a uniform range, of which a row is a mixture, and a list has a row for each value. Text
+    is read as on the command line. One of the arguments may be a list, or the key of `against`.
 
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    momenta, pt : sequence of float, GeV/c
-        Momenta or transverse momenta: one of them.
+    p, pt : float, (float, float) or list of float, GeV/c
+        Momentum or transverse momentum: one of them. Default: 1 GeV/c, if `against` is given.
     particle : str or int
         Name or number of the Particle Data Group.
-    cos_theta, theta : float, (float, float) or list of float
-        Cosine of the polar angle, or the angle in rad or with a unit: fixed, the limits of a uniform range, or values
-        in turn. Default: cos(theta) uniform in (-0.93, 0.93).
+    cos_theta, theta, eta : float, (float, float) or list of float
+        Cosine of the polar angle, polar angle in rad or with a unit, or pseudorapidity. Default: cos(theta) uniform in
+        (-0.93, 0.93).
+    phi : float, (float, float) or list of float, rad
+        Azimuth of the momentum. Default: all.
+    d : float, (float, float) or list of float, mm
+        Tracks begin at (d, 0, 0).
+    against : str or dict of one list
+        What the rows differ in: ``{"cos_theta": [0.0, 0.5]}`` stands for ``cos_theta=[0.0, 0.5]``, and
+        ``{"cgem.*.pitch_x": ["400 um", "650 um"]}`` varies a key of the design.
     events : int
-        For each momentum.
+        For each row.
     seed : int
     settings : Settings, optional
         Of all stages.
@@ -611,20 +669,26 @@ def scan(
     Raises
     ------
     ValueError
-        If particle or numbers make no sense, or the particle is neutral.
+        If particle or numbers make no sense, the particle is neutral, or there is more than one list.
+    PlanError, DetectorError
+        If the detector has no such key, or cannot have one of its values.
 
     Examples
     --------
     >>> scan = cg.study.scan("besiii-cgem-design", [0.3, 1.0], events=100)
     >>> scan.columns()["p (GeV/c)"]
     [0.3, 1.0]
+    >>> wide = cg.study.scan("besiii-cgem-design", 1.0, against={"cgem.*.pitch_x": ["400 um", "650 um"]}, events=100)
+    >>> wide.columns()["cgem.*.pitch_x (um)"]
+    [400.0, 650.0]
     """
     start = time.perf_counter()
     check_numbers("scan", seed, threads, events=(events, 1, 2**31 - 1))
-    gun = gun_arguments(momenta, pt, particle, cos_theta, theta)
-    orders = momentum_orders(load(detector), **gun, events=events, seed=seed, settings=settings, finder=finder)
-    samples = run_samples(orders, threads=threads, progress=progress)
-    return Scan(tuple(samples), seed, time.perf_counter() - start)
+    given = {"p": p, "pt": pt, "cos_theta": cos_theta, "theta": theta, "eta": eta, "phi": phi, "d": d}
+    designs, guns, axis = _shots(load(detector), particle, given, against)
+    points = points_at(designs, guns, events=events, seed=seed, settings=settings, finder=finder)
+    samples = run_samples(points, threads=threads, progress=progress)
+    return Scan(tuple(samples), seed, time.perf_counter() - start, axis)
 
 
 def scan_detectors(
@@ -642,20 +706,25 @@ def scan_detectors(
     ]
 
 
-#: Momenta of a line, at least; those asked for are added.
+#: Points of a line, at least; those asked for are added.
 LINE_POINTS = 60
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AnalyticScan(ScanBase):
-    """Resolutions of one detector against momentum from the covariance, without events.
+    """Resolutions of one detector from the covariance, without events.
 
     Attributes
     ----------
-    orders, seed, seconds
+    orders, seed, seconds, against
         As of `ScanBase`. No event is simulated; the seed is written to the record.
-    covariance : Covariance
-        At the momenta of the lines (first axis), and the values of a list of cos(theta) (second axis).
+    x : ndarray, (points,) float64
+        Where the lines have points: at the values asked for and, of kinematic variables, at least 60 from the first to
+        the last of them.
+    widths : Widths
+        At the points.
+    covariances : tuple of Covariance
+        At the points, one for each design.
 
     Examples
     --------
@@ -664,17 +733,19 @@ class AnalyticScan(ScanBase):
     [399. 197.] [0.95 4.68]
     """
 
-    covariance: Covariance
+    x: Floats
+    widths: Widths
+    covariances: tuple[Covariance, ...]
 
     method: ClassVar[str] = "analytic"
 
-    @cached_property
-    def p(self) -> Floats:
-        """Momenta of the lines: those asked for, and at least 60 from the first to the last of them."""
-        return line_momenta(self.momenta)
+    @property
+    def covariance(self) -> Covariance:
+        """The covariance at the points, of a key's axis that of the first design."""
+        return self.covariances[0]
 
     def sigma(self, name: str, *, rms: bool = False) -> Floats:
-        """Return the core resolution at the momenta of the lines, in the quoted unit.
+        """Return the core resolution at the points of the lines, in the quoted unit.
 
         Parameters
         ----------
@@ -683,87 +754,91 @@ class AnalyticScan(ScanBase):
         rms : bool
             Whether to return the root of the mean variance instead.
         """
-        rows = self.covariance.variances(name).reshape(len(self.p), -1)
-        return np.sqrt(mean(rows, ~np.isnan(rows))) if rms else core_width(rows)
+        return (self.widths.rms if rms else self.widths.sigma)[name]
 
     @property
     def reached(self) -> Floats:
-        """Fraction of the tracks with a covariance at the momenta of the lines."""
-        return np.asarray(self.covariance.reached.reshape(len(self.p), -1).mean(axis=1))
+        """Fraction of the tracks with a covariance at the points of the lines."""
+        return self.widths.reached
 
     def _line(self, name: str) -> Line:
-        unit, none = QUANTITIES[name].unit, np.full(len(self.p), np.nan)
-        return Line(f"sigma_{name}", self.detector.name, self.p, "GeV/c", self.sigma(name), none, unit)
+        unit, none = QUANTITIES[name].unit, np.full(len(self.x), np.nan)
+        return Line(f"sigma_{name}", self.detector.name, self.x, self.against.unit, self.sigma(name), none, unit)
 
     def at(self, name: str) -> Floats:
-        """Return the core resolution at the momenta asked for, in the quoted unit."""
+        """Return the core resolution at the values asked for, in the quoted unit."""
         return self.sigma(name)[self._asked()]
 
     def _asked(self) -> npt.NDArray[np.intp]:
-        return np.searchsorted(self.p, self.momenta)
+        return np.searchsorted(self.x, self.against.x) if len(self.covariances) == 1 else np.arange(len(self.x))
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the widths for each momentum of the lines: the columns of the CSV table."""
-        first, n = leading_columns(self.orders[:1], self.method), len(self.p)
-        columns = {name: value * n for name, value in first.items()}
-        columns[f"{momentum_name(self.orders[0])} (GeV/c)"] = self.p.tolist()
+        """Return the widths for each point of the lines: the columns of the CSV table."""
+        if len(self.x) == len(self.orders):
+            columns = self.leading()
+        else:
+            columns = {name: value[:1] * len(self.x) for name, value in self.leading().items()}
+            columns[KINEMATICS[self.against.name].header] = self.x.tolist()
         for name in REPORTED:
             columns[QUANTITIES[name].column("sigma")] = self.sigma(name).tolist()
             columns[QUANTITIES[name].column("rms")] = self.sigma(name, rms=True).tolist()
         return columns | {"reached": self.reached.tolist()}
 
     def empty(self) -> bool:
-        """Tell whether no track at any momentum has a covariance."""
+        """Tell whether no track of any point has a covariance."""
         return not self.reached.any()
 
     def note(self) -> str:
-        """Return the momenta asked for at which no track has a covariance, and why; empty if all have one."""
-        without = self._asked()[self.reached[self._asked()] == 0]
-        if not len(without):
+        """Return the values asked for at which no track has a covariance, and why; empty if all have one."""
+        asked = self._asked()
+        without = [i for i, row in enumerate(asked) if self.reached[row] == 0]
+        if not without:
             return ""
-        status = self.covariance.status.reshape(len(self.p), -1)[without]
-        why = ", ".join(FitStatus(int(one)).name for one in np.unique(status))
-        momenta = ", ".join(f"{p:g}" for p in self.p[without])
-        return f"at {momenta} GeV/c: no track has a covariance ({why})"
+        why = ", ".join(FitStatus(int(one)).name for one in np.unique(self.widths.status[asked[without]]))
+        return f"at {self.against.at(without)}: no track has a covariance ({why})"
 
     def _table(self) -> tuple[str, Sequence[str], list[list[str]]]:
-        title = f"{self.detector.name}, {shot_text(self.orders[0])}: core widths, analytic"
+        title = f"{self.detector.name}, {self.particle}, {self.fixed}: core widths, analytic"
         title += f"; readout {self.readout}" if self.readout else ""
-        head = [f"{momentum_name(self.orders[0])} [GeV/c]", *(_head(name)[0] for name in MAIN), "with covariance"]
-        values = [self.at(name) for name in MAIN]
-        shares = self.reached[self._asked()]
+        head = [self.against.head, *(_head(name)[0] for name in MAIN), "with covariance"]
+        values = np.array([self.at(name) for name in MAIN]).T
         rows = [
-            [f"{p:g}", *("-" if np.isnan(one) else f"{one:.4g}" for one in row), f"{100 * share:.4g} %"]
-            for p, row, share in zip(self.momenta, zip(*values, strict=True), shares, strict=True)
+            [self.against.text(i), *("-" if np.isnan(one) else f"{one:.4g}" for one in row), f"{100 * share:.4g} %"]
+            for i, (row, share) in enumerate(zip(values, self.reached[self._asked()], strict=True))
         ]
         return title, head, rows
 
 
-def line_momenta(momenta: Sequence[float]) -> Floats:
-    """Return the momenta of a line: those given, in order, and 60 in equal ratios from the least to the largest.
+def line_values(values: Floats, *, equal_ratios: bool = True) -> Floats:
+    """Return the points of a line: the values given, in order, and 60 from the least to the largest.
 
     Parameters
     ----------
-    momenta : sequence of float
+    values : ndarray, (n,) float64
         One is returned as it is.
+    equal_ratios : bool
+        Whether the 60 are in equal ratios, as momenta, instead of equal steps.
     """
-    asked = np.unique(np.asarray(momenta, np.float64))
+    asked = np.unique(np.asarray(values, np.float64))
     if len(asked) == 1:
         return asked
-    steps = np.geomspace(asked[0], asked[-1], LINE_POINTS)
+    steps = (np.geomspace if equal_ratios else np.linspace)(asked[0], asked[-1], LINE_POINTS)
     distance = np.min(np.abs(steps[:, None] - asked), axis=1)
-    more = steps[distance > 1e-9 * asked[-1]]  # rounding must not make two points of one
+    more = steps[distance > 1e-9 * np.max(np.abs(asked))]  # rounding must not make two points of one
     return np.sort(np.concatenate([asked, more]))
 
 
 def scan_analytic(
     detector: Detector | str | Mapping[str, Any],
-    momenta: Sequence[float] | None = None,
+    p: Values | None = None,
     *,
-    pt: Sequence[float] | None = None,
+    pt: Values | None = None,
     particle: str | int = "mu-",
-    cos_theta: float | tuple[float, float] | list[float] | None = None,
-    theta: Any = None,
+    cos_theta: Values | None = None,
+    theta: Values | None = None,
+    eta: Values | None = None,
+    phi: Values | None = None,
+    against: Against | None = None,
     seed: int = 1,
     settings: Settings | None = None,
     threads: int | None = None,
@@ -773,12 +848,11 @@ def scan_analytic(
     Parameters
     ----------
     detector : Detector, or what `load` accepts
-    momenta, pt : sequence of float, GeV/c
-        Momenta or transverse momenta: one of them. The lines also have at least 60 from the first to the last of them.
+    p, pt, cos_theta, theta, eta, phi, against
+        As in `scan`; lines have at least 60 points between the first and the last of the values. `pt` and `phi` are no
+        ranges.
     particle : str or int
         Name or number of the Particle Data Group.
-    cos_theta, theta : float, (float, float) or list of float
-        As in `scan`; averaged over a uniform range, or over some values. Transverse momenta need fixed angles.
     seed : int
         Kept for the record; nothing is random.
     settings : Settings, optional
@@ -796,37 +870,44 @@ def scan_analytic(
     >>> lines = cg.study.scan_analytic("besiii-cgem-design", [0.3, 1.0])
     >>> lines.at("dr").round()  # um
     array([399., 197.])
+    >>> angles = cg.study.scan_analytic("besiii-cgem-design", 1.0, theta=["30 deg", "90 deg"])
+    >>> angles.at("dz").round(2)  # mm
+    array([0.58, 0.29])
     """
     start = time.perf_counter()
     check_numbers("scan", seed, threads)
-    gun = samples.gun_arguments(momenta, pt, particle, cos_theta, theta)
-    orders = samples.momentum_orders(load(detector), **gun, events=0, seed=seed, settings=settings)
-    first = orders[0]
-    digitize, fit = first.settings.digitize, first.settings.fit
-    if others := [name for name in fit.hypotheses() if HYPOTHESES[name].pdg != abs(species(first.gun.particle).pdg)]:
+    given = {"p": p, "pt": pt, "cos_theta": cos_theta, "theta": theta, "eta": eta, "phi": phi}
+    designs, guns, axis = _shots(load(detector), particle, given, against)
+    points = points_at(designs, guns, events=0, seed=seed, settings=settings)
+    chosen = points[0].settings
+    if others := [one for one in chosen.fit.hypotheses() if HYPOTHESES[one].pdg != abs(species(particle).pdg)]:
         # A covariance does not hold the bias of another mass.
         raise ValueError(
-            f"fit.hypothesis: got {', '.join(others)} for {first.gun.particle}; "
+            f"fit.hypothesis: got {', '.join(others)} for {guns[0].particle}; "
             "the analytic method expects the particle's own mass"
         )
-    p, angles = _grid(line_momenta([momentum_of(order) for order in orders]), first)
-    covariance = analytic(
-        first.detector, first.gun.particle, p, angles, reveal_sides=digitize.reveal_sides,
-        fit=fit, threads=threads,
-    )  # fmt: skip
-    return AnalyticScan(tuple(orders), seed, time.perf_counter() - start, covariance)
+    x, lines = axis.x, guns[:1]
+    if axis.detector is None and not axis.words:
+        x = line_values(axis.x, equal_ratios=axis.name in MOMENTA)
+        at = {name: [at_gun(guns[0], name)] for name in KINEMATICS if at_gun(guns[0], name) is not None}
+        lines = guns_of(particle, at | {axis.name: x.tolist()})
+        designs = designs[:1]
+    expectation = Expectation.of(lines, chosen)
+    covariances = tuple(expectation.covariance(one, threads) for one in designs)
+    found = core_widths([one.entries(expectation.mixed) for one in covariances], tuple(QUANTITIES))
+    widths = found[0] if len(found) == 1 else _stacked(found)
+    return AnalyticScan(tuple(points), seed, time.perf_counter() - start, axis, x, widths, covariances)
 
 
-def _grid(momenta: Floats, order: Order) -> tuple[Floats, Any]:
-    """Return momenta, p or pT, as p; and the cosines to be broadcast with it."""
-    angles = cosines_of(order)
-    if isinstance(angles, InTurn | list):
-        momenta, angles = momenta[:, None], list(angles.values if isinstance(angles, InTurn) else angles)
-    if not transverse(order):
-        return momenta, angles
-    if isinstance(angles, tuple):
-        raise ValueError(f"cos_theta: got a range, {angles}, with pT; the analytic method expects fixed angles")
-    return momenta / np.sqrt(1 - np.square(angles)), angles
+def _stacked(found: Sequence[Widths]) -> Widths:
+    """Return the widths of designs as those of points."""
+    sigma, rms = (
+        {name: np.concatenate([getattr(one, kind)[name] for one in found]) for name in found[0].sigma}
+        for kind in ("sigma", "rms")
+    )
+    return Widths(
+        sigma, rms, *(np.concatenate([getattr(one, name) for one in found]) for name in ("status", "reached"))
+    )
 
 
 def compared(simulated: Scan, line: AnalyticScan) -> str:
@@ -836,11 +917,10 @@ def compared(simulated: Scan, line: AnalyticScan) -> str:
     ----------
     simulated : Scan
     line : AnalyticScan
-        Of the same detector and momenta.
+        Of the same detector, against the same values.
     """
-    first = line.orders[0]
-    cells = [[f"{p:g}" for p in line.momenta]]
-    head = [f"{momentum_name(first)} [GeV/c]"]
+    cells = [[line.against.text(i) for i in range(len(line.orders))]]
+    head = [line.against.head]
     for name, points in zip(MAIN, simulated.lines, strict=True):
         expected = line.at(name)
         head += [_head(name)[0], "analytic", "ratio"]
@@ -849,11 +929,12 @@ def compared(simulated: Scan, line: AnalyticScan) -> str:
         ratios = zip(points.y / expected, points.y_error / expected, strict=True)
         cells.append([with_error(*pair) for pair in ratios])
     head += ["fitted", "left out"]
-    cells.append([f"{fitted(sample)}/{sample.n_events}" for sample in simulated.samples])
+    cells.append([f"{sample.fitted}/{sample.n_events}" for sample in simulated.samples])
     cells.append([counts_text(sample.removed) for sample in simulated.samples])
+    each = "momentum" if line.against.name in MOMENTA else "point"
     title = (
-        f"{first.detector.name}, {shot_text(first)}: core widths, simulated "
-        f"({simulated.samples[0].n_events} events at each momentum, mass {simulated.mass}) and analytic, ratio "
+        f"{line.detector.name}, {line.particle}, {line.fixed}: core widths, simulated "
+        f"({simulated.samples[0].n_events} events at each {each}, mass {simulated.mass}) and analytic, ratio "
         "simulated/analytic"
     )
     table = text_table(title, head, [list(row) for row in zip(*cells, strict=True)])

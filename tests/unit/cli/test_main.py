@@ -65,7 +65,7 @@ def test_settings_in_the_examples_exist(capsys):
         (["study", "--threads", "0"], "a whole number from 1"),
         ([*RESOLUTION, "-o", "never", "--method", "geant"], "geant"),
         (
-            ["resolution", "-d", "besiii-cgem", "--p", "1:2", "-o", "never"],
+            ["resolution", "-d", "besiii-cgem", "--p", "1:2:3:4", "-o", "never"],
             "A,B,C or A:B:COUNT",
         ),
         (["resolution", "-d", "besiii-cgam", "--p", "1", "-o", "never"], "besiii-cgem"),
@@ -75,7 +75,7 @@ def test_settings_in_the_examples_exist(capsys):
         (["readout", "--angles", "0:40:9"], "got 40 rad = 2291.83 deg"),
         (
             ["simulate", "-d", "besiii-cgem", "--p", "1", "-n", "1", "-o", "never"],
-            "got no --theta or --cos-theta; expected one",
+            "got no --theta or --cos-theta or --eta; expected one",
         ),
         (["simulate", "-d", "besiii-cgem", "--sample", "jpsi-rhopi", "-o", "never"], "got no -n; expected one"),
         (["show", "besiii-cgem", "--gdml", "x.gdml", "-o", "never"], "--gdml takes no value"),

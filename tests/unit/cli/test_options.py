@@ -256,6 +256,18 @@ RESOLUTION_ROWS = [
     Row("--events", ["--events", "31"], {"events": 31}),
     Row("--pt", ["--pt", "0.3"], {"p": None, "pt": [0.3]}, "--p"),
     Row("--theta", ["--theta", "60 deg:70 deg"], {"cos_theta": None, "theta": ("60 deg", "70 deg")}, "--cos-theta"),
+    Row("--theta", ["--theta", "60 deg,70 deg"], {"cos_theta": None, "theta": ["60 deg", "70 deg"]}, "--cos-theta"),
+    Row("--p", ["--p", "0.3:0.5"], {"p": (0.3, 0.5)}, "--p"),
+    Row("--eta", ["--eta", "-1:1:3"], {"cos_theta": None, "eta": [-1.0, 0.0, 1.0]}, "--cos-theta"),
+    Row("--phi", ["--phi", "0:1"], {"phi": (0.0, 1.0)}),
+    Row("--d", ["--d", "0,2 cm"], {"d": [0.0, 20.0]}),
+    Row("--against", ["--against", "eta=0,1"], {"cos_theta": None, "eta": [0.0, 1.0]}, "--cos-theta"),
+    Row("--against", ["--against", "cos-theta=0:0.6:3"], {"cos_theta": [0.0, 0.3, 0.6]}, "--cos-theta"),
+    Row("--against", ["--against", "d", "--d", "5"], {"d": 5.0, "against": "d"}),
+    Row("--against", ["--against", "cgem.*.pitch_x=400 um:0.6 mm:3"],
+        {"against": {"cgem.*.pitch_x": ["400 um", "500 um", "600 um"]}}),
+    Row("--against", ["--against", "cgem.*.readout=tiger,binary"],
+        {"against": {"cgem.*.readout": ["tiger", "binary"]}}),
     Row("--finder", ["--finder", "ckf", "--set", "find.hypothesis=pi"],
         {"finder": "ckf", **with_settings(find=FindSettings(hypothesis="pi"))}),
 ]  # fmt: skip
@@ -265,7 +277,7 @@ def scanned(**change: Any) -> Scan:
     """Return what the usual command line, or a changed one, gives in Python."""
     given = {"detector": DESIGN, "particle": "mu-", "p": 0.3, "cos_theta": 0.1, "events": 30, "seed": 1} | change
     p = given.pop("p")
-    return scan(load(given.pop("detector")), None if p is None else [p], **given)
+    return scan(load(given.pop("detector")), p, **given)
 
 
 def tracks_of(found: Scan) -> list[tuple[str, Table]]:
@@ -380,8 +392,7 @@ def test_mistakes_of_detector_settings_and_gun_are_listed_together(
     wrong = ["-d", "besiii-cgam", "--set", "fit.los=1", "--p", "0", "--cos-theta", "2"]
     assert main([*command.split(), *wrong, "-o", "never"]) == 2
     text = capsys.readouterr().err
-    p = "p[0]" if command == "resolution" else "p"
-    messages = ["fit.los: got an unknown key", 'got "besiii-cgam"', f"{p}: got 0.0", "cos_theta: got 2.0"]
+    messages = ["fit.los: got an unknown key", 'got "besiii-cgam"', "p: got 0.0", "cos_theta: got 2.0"]
     assert [message for message in messages if message not in text] == []
 
 

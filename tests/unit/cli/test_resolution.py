@@ -12,12 +12,11 @@ from cgemit.analysis.curves import Line
 from cgemit.analysis.quantities import REPORTED
 from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
-from cgemit.covariance.tracks import core_width
 from cgemit.draw.curves import draw_resolutions
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study import fit_form, scan, scan_analytic
-from cgemit.study.scan import compared, fits_text, line_momenta, save_scans
+from cgemit.study.scan import compared, fits_text, line_values, save_scans
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -42,14 +41,14 @@ def rows_of(path):
 
 
 def test_momenta_of_a_line():
-    found = line_momenta(MOMENTA)
+    found = line_values(MOMENTA)
     assert len(found) >= 60
     assert (found[0], found[-1]) == (0.3, 1.0)
     assert set(MOMENTA) <= set(found.tolist())
     assert np.all(np.diff(found) > 1e-6)
     assert np.max(found[1:] / found[:-1]) <= (1.0 / 0.3) ** (1 / 59) * (1 + 1e-9)
-    assert line_momenta([0.7]).tolist() == [0.7]
-    assert line_momenta([0.7, 0.7]).tolist() == [0.7]
+    assert line_values([0.7]).tolist() == [0.7]
+    assert line_values([0.7, 0.7]).tolist() == [0.7]
 
 
 def test_momenta_over_a_decade_have_a_logarithmic_axis_with_ticks_at_the_points():
@@ -78,24 +77,25 @@ def test_many_momenta_have_round_ticks():
 
 
 def test_lines_are_those_of_analytic(line):
-    expected = cg.analytic(DESIGN, "pi+", line.p, 0.3)
+    expected = cg.analytic(DESIGN, "pi+", line.x, 0.3)
     for found, (name, unit) in zip(line.lines, UNITS.items(), strict=True):
         assert (found.id, found.detector, found.method) == (f"sigma_{name}", DESIGN, "analytic")
         assert (found.x_unit, found.y_unit) == ("GeV/c", unit)
-        np.testing.assert_array_equal(found.x, line.p)
+        np.testing.assert_array_equal(found.x, line.x)
         np.testing.assert_allclose(found.y, expected.sigma(name), rtol=1e-12)
         assert np.isnan(found.y_error).all()
-    pt = line.p * np.sqrt(1 - 0.3**2)
+    pt = line.x * np.sqrt(1 - 0.3**2)
     np.testing.assert_allclose(line.sigma("pt_rel"), 0.1 * expected.sigma("pt") / pt, rtol=1e-9)
-    np.testing.assert_allclose(line.at("dz"), expected.sigma("dz")[np.searchsorted(line.p, MOMENTA)])
+    np.testing.assert_allclose(line.at("dz"), expected.sigma("dz")[np.searchsorted(line.x, MOMENTA)])
 
 
 def test_ranges_and_lists_of_angles():
     of_range = scan_analytic(IDC, [0.5], cos_theta=(-0.8, 0.8))
     np.testing.assert_allclose(of_range.sigma("dz"), cg.analytic(IDC, p=[0.5], cos_theta=(-0.8, 0.8)).sigma("dz"))
-    of_list = scan_analytic(IDC, [0.5, 1.0], cos_theta=[0.0, 0.6])
-    each = [cg.analytic(IDC, p=of_list.p, cos_theta=c).variances("dz") for c in (0.0, 0.6)]
-    np.testing.assert_allclose(of_list.sigma("dz"), core_width(np.concatenate(each, axis=1)), rtol=1e-12)
+    of_list = scan_analytic(IDC, 0.5, cos_theta=[0.6, 0.0])
+    expected = cg.analytic(IDC, p=0.5, cos_theta=of_list.x).sigma("dz")
+    np.testing.assert_allclose(of_list.sigma("dz"), expected, rtol=1e-12)
+    np.testing.assert_allclose(of_list.at("dz"), cg.analytic(IDC, p=0.5, cos_theta=[0.6, 0.0]).sigma("dz"), rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -121,7 +121,7 @@ def test_options_are_arguments_of_python(words, settings, change, tmp_path):
     given = {"detector": DESIGN, "particle": "mu-", "cos_theta": 0.2} | change
     shot = {name: given[name] for name in ("particle", "cos_theta")}
     same = scan_analytic(given["detector"], [0.3, 0.6], **shot, settings=settings)
-    expected = cg.analytic(given.pop("detector"), p=same.p, **given)
+    expected = cg.analytic(given.pop("detector"), p=same.x, **given)
     rows, summary = rows_of(out / "resolution.csv"), json.loads((out / "summary.json").read_text())
     assert summary["curves"] == [one.as_json() for one in same.all_lines]
     assert summary["fits"] == [one.as_json() for one in same.fits]
@@ -131,7 +131,7 @@ def test_options_are_arguments_of_python(words, settings, change, tmp_path):
         for kind, values in (("sigma", expected.sigma(name)), ("rms", expected.rms(name))):
             column = [float(row[f"{kind}_{name} ({unit})"]) for row in rows]
             np.testing.assert_allclose(column, values, rtol=1e-6)
-    usual = cg.analytic(DESIGN, p=same.p, cos_theta=0.2)
+    usual = cg.analytic(DESIGN, p=same.x, cos_theta=0.2)
     assert np.allclose(expected.sigma("p"), usual.sigma("p"), rtol=1e-9) is (words[0] in ("--threads", "--events"))
 
 
@@ -152,13 +152,13 @@ def test_no_event_is_simulated(monkeypatch, tmp_path, capsys):
 def test_files_of_both_methods(line, points, tmp_path):
     save_scans([points, line], tmp_path / "out")
     rows = rows_of(tmp_path / "out" / "resolution.csv")
-    assert [row["method"] for row in rows] == ["mc"] * 3 + ["analytic"] * len(line.p)
+    assert [row["method"] for row in rows] == ["mc"] * 3 + ["analytic"] * len(line.x)
     for scanned, part in ((points, rows[:3]), (line, rows[3:])):
         for one, (name, unit) in zip(scanned.lines, UNITS.items(), strict=True):
             np.testing.assert_allclose([float(row[f"sigma_{name} ({unit})"]) for row in part], one.y, rtol=1e-6)
             np.testing.assert_allclose([float(row["p (GeV/c)"]) for row in part], one.x, rtol=1e-6)
     assert {row["events"] for row in rows[3:]} == {""}
-    assert [row["reached"] for row in rows[3:]] == ["1"] * len(line.p)
+    assert [row["reached"] for row in rows[3:]] == ["1"] * len(line.x)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [(curve["id"], curve["method"]) for curve in summary["curves"]] == [
         (f"sigma_{name}", method) for method in ("mc", "analytic") for name in REPORTED
@@ -216,7 +216,7 @@ def test_fits_are_those_of_the_curves(line, points):
                 ratios = [np.abs(t["truth_kappa"] / t["kappa"])[t["status"] == 0] - 1 for t in rows]
                 widths = [cg.study.measure(100 * one) for one in ratios]
                 sigma, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
-            p = line.p if scanned is line else MOMENTA
+            p = line.x if scanned is line else MOMENTA
             how = {"particle": "pi+", "cos_theta": 0.3, "detector": DESIGN, "method": scanned.method}
             again = fit_form(fit.quantity, p, sigma, error, **how)
             assert str(fit) == str(again)

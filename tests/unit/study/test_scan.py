@@ -14,10 +14,12 @@ import cgemit as cg
 from cgemit.analysis.clusters import cluster_residuals
 from cgemit.analysis.quantities import QUANTITIES, REPORTED
 from cgemit.cli.main import main
+from cgemit.covariance.tracks import core_width
 from cgemit.draw.curves import resolutions
 from cgemit.draw.style import mathematical
 from cgemit.study import measure, scan, scan_analytic
-from cgemit.study.scan import columns_of, difference, save_scans
+from cgemit.study.evaluation import seed_of
+from cgemit.study.scan import columns_of, save_scans
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -141,7 +143,7 @@ def test_differences_have_the_errors_of_pairs(pair: list[Any]) -> None:
         assert columns[f"delta_sigma_{name}_error ({unit})"][3] == pytest.approx(error, rel=1e-9)
         medians = np.median(mine[1]) - np.median(theirs[1])
         assert columns[f"delta_median_error_{name} ({unit})"][3] == pytest.approx(medians, rel=1e-9)
-    paired = difference(other, base, "dz")[1]
+    paired = other.minus(base, "dz")[1]
     apart = np.hypot(*(measure(by_hand(one.tracks)["dz"][0]).core_error for one in (other, base)))
     assert paired < 0.9 * apart
     found = pair[1].minus(pair[0])
@@ -171,20 +173,27 @@ def test_transverse_momenta_and_angles_are_those_of_the_gun() -> None:
 def test_analytic_lines_take_transverse_momenta_and_angles() -> None:
     sine = np.sin(np.pi / 3)
     one = scan_analytic(DESIGN, pt=[0.5, 1.0], theta="60 deg")
-    other = cg.analytic(DESIGN, "mu-", one.p / sine, 0.5)
-    np.testing.assert_allclose(one.sigma("p_rel"), 0.1 * other.sigma("p") / (one.p / sine), rtol=1e-9)
+    other = cg.analytic(DESIGN, "mu-", one.x / sine, 0.5)
+    np.testing.assert_allclose(one.sigma("p_rel"), 0.1 * other.sigma("p") / (one.x / sine), rtol=1e-9)
     np.testing.assert_allclose(one.sigma("theta"), other.sigma("theta"), rtol=1e-9)
-    assert one.columns()["pt (GeV/c)"] == one.p.tolist()
+    assert one.columns()["pt (GeV/c)"] == one.x.tolist()
     assert one.fits == []
-    spread = scan_analytic(DESIGN, [1.0], theta=(0.5, 2.6)).sigma("dz")
-    assert spread == pytest.approx(scan_analytic(DESIGN, [1.0], theta=np.linspace(0.5, 2.6, 400)).sigma("dz"), rel=0.01)
-    with pytest.raises(ValueError, match="with pT; the analytic method expects fixed angles"):
-        scan_analytic(DESIGN, pt=[0.5])
+    for name, ends, pt in (("theta", (0.5, 2.6), None), ("eta", (-1.0, 1.0), None), ("cos_theta", (-0.8, 0.8), 0.5)):
+        momentum = {"p": 1.0} if pt is None else {"pt": pt}
+        spread = scan_analytic(DESIGN, **momentum, **{name: ends}).sigma("dz")
+        middles = np.linspace(*ends, 401)
+        middles = 0.5 * (middles[1:] + middles[:-1])
+        each = cg.analytic(DESIGN, **momentum, **{name: middles}).variances("dz")
+        assert spread == pytest.approx(core_width(each.reshape(1, -1)), rel=0.01)
+    with pytest.raises(ValueError, match=r"pt: got 0\.5:1, expected fixed values with the analytic method"):
+        scan_analytic(DESIGN, pt=(0.5, 1.0))
+    with pytest.raises(ValueError, match=r"phi: got the range \(0.0, 1.0\), expected numbers"):
+        cg.analytic(DESIGN, phi=(0.0, 1.0))
 
 
 @pytest.mark.parametrize("make", [scan, scan_analytic])
-@pytest.mark.parametrize("given", [[], np.array([]), 1.0, "1"])
-@pytest.mark.parametrize("name", ["momenta", "pt"])
+@pytest.mark.parametrize("given", [[], np.array([])])
+@pytest.mark.parametrize("name", ["p", "pt"])
 def test_momenta_are_a_list_of_at_least_one(make: Any, given: Any, name: str) -> None:
     with pytest.raises(ValueError, match=rf"{name}: got .*, expected a list of at least one"):
         make(DESIGN, **{name: given})
@@ -192,13 +201,13 @@ def test_momenta_are_a_list_of_at_least_one(make: Any, given: Any, name: str) ->
 
 def test_wrong_momenta_and_angles_are_listed() -> None:
     for function in (scan, scan_analytic):
-        with pytest.raises(ValueError, match=r"(?s)momenta, pt: expected exactly one.*cos_theta, theta: got both"):
+        with pytest.raises(ValueError, match=r"(?s)p, pt: got none, .*cos_theta, theta, eta: got cos_theta and"):
             function(DESIGN, cos_theta=0.0, theta=1.0)
 
 
 def test_the_picture_shows_every_quantity_of_every_scan(pair: list[Any]) -> None:
     picture = resolutions(pair)
-    title = "core widths: mu-, cos θ = -0.5 to 0.5, 400 simulated events at each momentum"
+    title = "core widths: mu-, cos θ = -0.5 to 0.5 (mixture), 400 simulated events at each momentum"
     assert picture.get_suptitle() == title + ", readout binary, hits assigned by truth"
     for axes, name in zip(picture.axes, REPORTED, strict=True):
         lines = {bar.get_label(): bar.lines[0] for bar in axes.containers}
@@ -225,7 +234,7 @@ def test_several_particles_and_detectors_from_the_shell(tmp_path: Path, capsys: 
     assert main([*words, "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     for particle in ("pi+", "K+"):
-        assert f"{DESIGN}, {particle}, θ = 1 to 2 rad" in text
+        assert f"{DESIGN}, {particle}, θ = 1 to 2 rad (mixture)" in text
         assert f"besiii-idc minus {DESIGN}, {particle}: differences" in text
     with (tmp_path / "out" / "resolution.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -249,3 +258,136 @@ def test_titles_name_readout_and_finder() -> None:
     assert resolutions([line]).get_suptitle().endswith("readout gaussian")
     chamber = scan("besiii-idc", [1.0], events=60)
     assert "readout" not in str(chamber) + resolutions([chamber]).get_suptitle()  # it has no CGEM layers
+
+
+AXES = {
+    "p": [1.0, 0.4], "pt": [0.4, 1.0], "cos_theta": [-0.5, 0.0, 0.7], "theta": ["60 deg", 2.0], "eta": [-1.0, 0.5],
+    "phi": [0.0, "90 deg"], "d": [0.0, "2 cm"],
+}  # fmt: skip
+
+
+def shot(name: str, values: list[Any]) -> dict[str, Any]:
+    """Return the arguments of scans against one variable."""
+    return ({} if name in ("p", "pt") else {"p": 0.6}) | {name: values}
+
+
+@pytest.mark.parametrize("name", AXES)
+def test_a_list_has_a_row_for_each_value(name: str) -> None:
+    found = scan(DESIGN, **shot(name, AXES[name]), events=30, seed=4)
+    native = {"60 deg": np.pi / 3, "90 deg": np.pi / 2, "2 cm": 20.0}
+    values = [native.get(value, value) for value in AXES[name]]
+    columns = found.columns()
+    assert columns[found.against.head.replace("[", "(").replace("]", ")")] == pytest.approx(values)
+    for number, (sample, value) in enumerate(zip(found.samples, values, strict=True), start=1):
+        given = shot(name, value) | ({} if name in ("cos_theta", "theta", "eta") else {"cos_theta": (-0.93, 0.93)})
+        vertex = (given.pop("d", 0.0), 0.0, 0.0)
+        again = cg.run(DESIGN, cg.Gun("mu-", vertex=vertex, **given), 30, seed_of(4, number))
+        assert sample.tracks == again.tracks
+        assert columns["clusters"][number - 1] == pytest.approx(again.tracks["n_clusters"].mean())
+        assert columns["efficiency"][number - 1] == np.mean(again.tracks["status"] == 0)
+    same = scan(DESIGN, **shot(name, None), against={name: AXES[name]}, events=30, seed=4)
+    assert str(same) == str(found)
+    assert repr(found).splitlines()[1].startswith(found.against.head)
+
+
+@pytest.mark.parametrize("name", [one for one in AXES if one != "d"])
+def test_analytic_lines_against_anything_are_those_of_analytic(name: str) -> None:
+    angle = {} if name in ("cos_theta", "theta", "eta") else {"cos_theta": 0.2}
+    found = scan_analytic(DESIGN, **shot(name, AXES[name]), **angle)
+    assert len(found.x) >= 60
+    expected = cg.analytic(DESIGN, **shot(name, found.x), **angle)
+    for quantity in ("dr", "p"):
+        np.testing.assert_allclose(found.sigma(quantity), expected.sigma(quantity), rtol=1e-9)
+        np.testing.assert_allclose(found.sigma(quantity, rms=True), expected.rms(quantity), rtol=1e-9)
+    asked = cg.analytic(DESIGN, **shot(name, AXES[name]), **angle)
+    np.testing.assert_allclose(found.at("dz"), asked.sigma("dz"), rtol=1e-9)
+    assert found.columns()[found.against.head.replace("[", "(").replace("]", ")")] == found.x.tolist()
+
+
+def test_scans_against_a_key_of_the_design() -> None:
+    key, values = "cgem.*.pitch_x", ["400 um", "0.8 mm"]
+    found = scan(DESIGN, 0.6, cos_theta=0.1, against={key: values}, events=60, seed=4)
+    lines = scan_analytic(DESIGN, 0.6, cos_theta=0.1, against={key: values})
+    base = cg.load(DESIGN)
+    assert found.detector == base
+    for number, (sample, value) in enumerate(zip(found.samples, values, strict=True)):
+        design = base.with_overrides({key: value})
+        gun = cg.Gun("mu-", p=0.6, cos_theta=0.1)
+        assert sample.tracks == cg.run(design, gun, 60, seed_of(4, number + 1)).tracks
+        assert lines.at("dr")[number] == pytest.approx(float(cg.analytic(design, p=0.6, cos_theta=0.1).sigma("dr")))
+    swept = cg.study.sweep(base, {"cgem.L1.pitch_x": ["400 um", "800 um"]}, cg.study.Evaluation(p=0.6, cos_theta=0.1))
+    one = scan_analytic(base, 0.6, cos_theta=0.1, against={"cgem.L1.pitch_x": ["400 um", "800 um"]})
+    assert one.columns()["cgem.L1.pitch_x (um)"] == [400.0, 800.0]
+    np.testing.assert_allclose(one.at("dr"), swept["sigma_dr (um)"][1:], rtol=1e-12)
+    assert "p = 0.6 GeV/c, cos θ = 0.1" in str(found)
+    words = scan_analytic(DESIGN, 0.6, cos_theta=0.1, against={"cgem.*.readout": ["tiger", "binary"]})
+    assert words.columns()["cgem.*.readout"] == ["tiger", "binary"]
+    expected = [cg.analytic(DESIGN, p=0.6, cos_theta=0.1, readout=name).sigma("dr") for name in ("tiger", "binary")]
+    np.testing.assert_allclose(words.at("dr"), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "label", "ticks"),
+    [
+        ({"p": 0.6, "cos_theta": [-0.5, 0.0, 0.7]}, "cos θ", {"-0.5": -0.5, "0": 0.0, "0.7": 0.7}),
+        ({"pt": [0.3, 0.6]}, "$p_T$  (GeV/c)", {"0.3": 0.3, "0.6": 0.6}),
+        ({"p": 0.6, "theta": [1.0, 1.5, 1.51]}, "θ  (rad)", {"1": 1.0, "1.51": 1.51}),  # 1.5 is too near
+        ({"p": 0.6, "against": {"cgem.*.pitch_x": ["400 um", "800 um"]}}, "cgem.*.pitch_x  (µm)",
+         {"400": 400.0, "800": 800.0}),
+        ({"p": 0.6, "against": {"cgem.*.readout": ["tiger", "binary"]}}, "cgem.*.readout", {"tiger": 0, "binary": 1}),
+    ],
+)  # fmt: skip
+def test_the_axis_of_a_picture_has_ticks_at_the_rows(given: Any, label: str, ticks: Any) -> None:
+    points, lines = scan(DESIGN, **given, events=60), scan_analytic(DESIGN, **given)
+    picture = resolutions([points, lines])
+    for axes, name in zip(picture.axes, REPORTED, strict=True):
+        assert axes.get_xlabel() == label
+        shown = {one.get_text(): at for one, at in zip(axes.get_xticklabels(), axes.get_xticks(), strict=True)}
+        assert shown == ticks
+        (drawn,) = axes.containers
+        np.testing.assert_array_equal(drawn.lines[0].get_xdata(), points.against.x)
+        np.testing.assert_array_equal(drawn.lines[0].get_ydata(), [one.width(name).core for one in points.samples])
+        line = next(one for one in axes.lines if one.get_label() == f"{DESIGN}, analytic")
+        np.testing.assert_array_equal(line.get_xdata(), lines.x)
+        np.testing.assert_array_equal(line.get_ydata(), lines.sigma(name))
+    assert (
+        picture.get_suptitle()
+        == f"core widths: mu-, {points.fixed}, 60 simulated events at each "
+        + ("momentum" if "pt" in given else "point")
+        + ("" if label == "cgem.*.readout" else ", readout binary")
+        + ", hits assigned by truth"
+    )
+
+
+def test_a_range_is_a_mixture_and_said() -> None:
+    found = scan(DESIGN, against={"theta": [1.0, 1.5]}, p=(0.3, 1.0), events=40, seed=2)
+    assert found.fixed == "p = 0.3 to 1 GeV/c (mixture)"
+    p = found.samples[1].tracks["truth_p"]
+    assert 0.3 < p.min() < 0.4 < 0.9 < p.max() < 1.0
+    lines = scan_analytic(DESIGN, against={"theta": [1.0, 1.5]}, p=(0.3, 1.0))
+    expected = cg.analytic(DESIGN, p=(0.3, 1.0), theta=[1.0, 1.5])
+    np.testing.assert_allclose(lines.at("dr"), expected.sigma("dr"), rtol=1e-9)
+    one = scan_analytic(DESIGN, 1.0)
+    assert one.fixed == "cos θ = -0.93 to 0.93 (mixture)"
+    np.testing.assert_allclose(one.at("dr"), cg.analytic(DESIGN, p=1.0, cos_theta=(-0.93, 0.93)).sigma("dr"))
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"p": [0.3, 1.0], "cos_theta": [0.0, 0.5]}, "p, cos_theta: got lists, expected one list"),
+        ({"p": [0.3, 1.0], "against": {"cgem.L1.pitch_x": ["400 um"]}}, "p: got lists beside cgem.L1.pitch_x"),
+        ({"against": "z"}, "against: got 'z', expected one of p, pt, cos_theta"),
+        ({"against": {"theta": [1.0]}, "theta": 1.0}, "against, theta: got both"),
+        ({"against": {"theta": [1.0], "eta": [1.0]}}, "against: got 2 keys"),
+        ({"against": {"cgem.L1.pitch_y": ["400 um"]}}, "cgem.L1.pitch_y"),
+        ({"against": {"cgem.L1.pitch_x": [400]}}, "cgem.L1.pitch_x: got 400"),
+        ({"against": {"cgem.L1.pitch_x": "400 um"}}, "cgem.L1.pitch_x: got '400 um', expected a list"),
+        ({"against": {"cos_theta": [0.0, 1.5]}}, r"cos_theta\[1\]: got 1.5"),
+        ({"p": 1.0, "cos_theta": [0.0, (0.1, 0.5)]}, "cos_theta: got a range in a list"),
+    ],
+)
+def test_what_a_scan_cannot_go_through_is_said(given: Any, text: str) -> None:
+    for function in (scan, scan_analytic):
+        with pytest.raises(ValueError, match=text):
+            function(DESIGN, **given)

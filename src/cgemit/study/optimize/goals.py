@@ -14,10 +14,11 @@ from cgemit.analysis.widths import GROUPS, jackknife
 from cgemit.base.arrays import Floats
 from cgemit.base.errors import DetectorError, Problems, WrongValueError, did_you_mean
 from cgemit.base.validate import is_whole
+from cgemit.covariance.result import core_widths
 from cgemit.detector import Detector
 from cgemit.detector.inventory import GEOMETRY, Background, occupancy, wire_occupancy
 from cgemit.detector.variants import values_at
-from cgemit.study.sweep.evaluate import UNSEEN, Evaluation, covariances, identity, unseen_matter
+from cgemit.study.sweep.evaluate import UNSEEN, Evaluation, identity, unseen_matter
 from cgemit.study.sweep.space import Changes, own_text, own_value, split_range
 from cgemit.units import NATIVE, QuantityError, parse_quantity
 
@@ -74,7 +75,7 @@ class Goal:
         return f"{name}_error{bracket}{unit}"
 
 
-def goal_of(path: str, text: Any, momenta: Sequence[float], problems: Problems) -> Goal | None:
+def goal_of(path: str, text: Any, momenta: Sequence[Any], problems: Problems) -> Goal | None:
     """Return the goal that a text stands for; None with a problem if there is none.
 
     Parameters
@@ -109,12 +110,18 @@ def goal_of(path: str, text: Any, momenta: Sequence[float], problems: Problems) 
     except QuantityError as error:
         problems.take(error, path)
         return None
-    near = [one for one in momenta if math.isclose(one, p, rel_tol=1e-9)]
+    fixed = [one for one in momenta if not isinstance(one, tuple)]
+    near = [one for one in fixed if math.isclose(one, p, rel_tol=1e-9)]
     if name not in QUANTITIES or not near:
-        expected = "no momentum" if name not in QUANTITIES else "one of p: " + ", ".join(f"{one:g}" for one in momenta)
+        expected = "no momentum" if name not in QUANTITIES else "one of p: " + ", ".join(f"{one:g}" for one in fixed)
         problems.note(path, repr(text), expected)
         return None
     return Goal(text, name, near[0])
+
+
+def rows_of(goal: Goal, evaluation: Evaluation) -> list[int]:
+    """Return the points of an evaluation that count in a goal."""
+    return [i for i, gun in enumerate(evaluation.guns) if goal.p in (None, gun.p)]
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ class Goals:
                 values[goal.header] = self.number(goal, detector)
                 continue
             all_points = resolutions[goal.name]
-            rows = [i for i, p in enumerate(self._momenta()) if goal.p in (None, p)]
+            rows = rows_of(goal, self.evaluation)
             # The first column is the value, the others leave out one group each.
             mean = np.exp(np.log(all_points[rows]).mean(axis=0))
             if not np.isfinite(mean).all():
@@ -201,20 +208,15 @@ class Goals:
             return float(np.mean(unseen_matter(detector, self.evaluation)))
         return _geometry(goal.name, detector, smooth)
 
-    def _momenta(self) -> list[float]:
-        """Return the momentum of every point, in the order of `Evaluation.points`."""
-        return [p for p in self.evaluation.p for _ in self.evaluation.cos_theta]
-
     def _analytic(self, detector: Detector) -> dict[str, Floats]:
         """Return (points, 1 + GROUPS) widths of each resolution in quoted units."""
-        by_angle = covariances(detector, self.evaluation)
+        expectation = self.evaluation.expectation
+        found = expectation.covariance(detector)
+        (widths,) = core_widths([found.entries(expectation.mixed)], self.quantities)
         resolutions = {}
-        for name in self.quantities:
-            pairs = [(one.sigma(name), one.variances(name)) for one in by_angle]
-            rows = [
-                _replicas(sigma[i], variances[i]) for i in range(len(self.evaluation.p)) for sigma, variances in pairs
-            ]
-            resolutions[name] = np.array(rows)
+        for name, sigma in widths.sigma.items():
+            variances = found.variances(name).reshape(len(sigma), -1)
+            resolutions[name] = np.array([_replicas(*pair) for pair in zip(sigma, variances, strict=True)])
         return resolutions
 
     def _simulated(self, detector: Detector) -> dict[str, Floats]:

@@ -20,6 +20,7 @@ from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
 from cgemit.detector.inventory import Background
 from cgemit.particles.species import species
+from cgemit.study.evaluation import ShowProgress
 from cgemit.study.optimize.goals import (
     COST,
     OCCUPANCIES,
@@ -46,7 +47,6 @@ from cgemit.study.optimize.search import (
     no_allowed,
     with_failures,
 )
-from cgemit.study.samples import ShowProgress
 from cgemit.study.sweep.evaluate import UNSEEN, Evaluation
 from cgemit.study.sweep.plan import PlanFile, function_of, range_of, read_evaluation, read_tables
 from cgemit.study.sweep.run import chunk_folder, evaluation_of, output_of, workers_of
@@ -192,7 +192,7 @@ def _checked(
     if not isinstance(texts, Sequence) or not texts or len(set(map(str, texts))) < len(texts):
         problems.note("minimize", repr(minimize), "one or several different objectives")
         texts = []
-    momenta = evaluation.p if evaluation else ()
+    momenta = evaluation.p or () if evaluation else ()
     found = [goal_of("minimize", text, momenta, problems) for text in texts]
     objectives = tuple(one for one in found if one is not None)
     limits = limits_of(constraints, momenta, problems)
@@ -209,7 +209,7 @@ def _checked(
     if evaluation and not evaluation.function and any(one.name == UNSEEN for one in goals):
         if abs(species(evaluation.particle).pdg) != 11:
             problems.note("evaluate.particle", repr(evaluation.particle), "'e-' or 'e+', whose losses unseen_x0 counts")
-        if any(isinstance(one, tuple) for one in evaluation.cos_theta):
+        if evaluation.has_ranges:
             problems.note("evaluate.cos_theta", repr(evaluation.cos_theta), "fixed angles for unseen_x0")
     if not base.layers:
         problems.note("base", "a detector without CGEM layers", "at least one")
@@ -245,6 +245,8 @@ def _check_method(
         problems.note("search.method", f"{method!r} for {len(texts)} objectives", "'nsga2'")
     if method == "gradient" and evaluation.kind == "mc":
         problems.note("search.method", "'gradient' for evaluate 'mc'", "'cobyla' or 'nsga2'")
+    if method == "gradient" and evaluation.kind == "analytic" and evaluation.expectation.mixed > 1:
+        problems.note("search.method", "'gradient' with a range of theta or eta, or with pT", "a range of cos_theta")
     for variable in variables if method == "gradient" else ():
         if variable.continuous and variable.before != "%" and variable.low <= 0 <= variable.high:
             given = f"'gradient' for {variable.key} from {variable.low:g} to {variable.high:g} {variable.unit}".rstrip()

@@ -20,8 +20,8 @@ from cgemit.detector import Detector
 from cgemit.detector.inventory import gaps
 from cgemit.detector.layers import CgemLayer
 from cgemit.detector.variants import matching, value_at
-from cgemit.study.optimize.goals import TOLERANCE, Goal, Goals, Limit, Variable, changes_of
-from cgemit.study.sweep.evaluate import Seed, covariances
+from cgemit.study.optimize.goals import TOLERANCE, Goal, Goals, Limit, Variable, changes_of, rows_of
+from cgemit.study.sweep.evaluate import Seed
 from cgemit.study.sweep.run import Task, compute_rows
 from cgemit.study.sweep.space import Changes, sobol
 
@@ -271,11 +271,11 @@ class Descent:
         detector, evaluation = self.detector(u), self.evaluator.goals.evaluation
         names = tuple(dict.fromkeys(one.name for one in goals))
         keys = [one.key for one in self.variables]
-        found = [logarithmic_slopes(one, one.detector, keys, names)[0] for one in covariances(detector, evaluation)]
-        values = np.mean(found, axis=0)  # (keys, quantities, p)
+        values, _ = logarithmic_slopes(evaluation.expectation.covariance(detector), detector, keys, names)
+        values = values.reshape(len(keys), len(names), -1)
         pairs = zip(self.variables, self.numbers(u), strict=True)
         chain = np.array([(one.high - one.low) * one.relative(number) for one, number in pairs])
-        at = {one.header: [i for i, p in enumerate(evaluation.p) if one.p in (None, p)] for one in goals}
+        at = {one.header: rows_of(one, evaluation) for one in goals}
         means = {one.header: values[:, names.index(one.name), at[one.header]].mean(axis=1) for one in goals}
         return {header: chain * np.nan_to_num(mean) for header, mean in means.items()}
 

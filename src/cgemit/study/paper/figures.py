@@ -26,10 +26,10 @@ from cgemit.base.isa import cores
 from cgemit.chain.result import Result
 from cgemit.draw import chain_diagram, cluster, curves, display
 from cgemit.draw.style import COLORS, Picture, new_picture, style
+from cgemit.study.evaluation import ShowProgress, row_columns
 from cgemit.study.paper.published import FIGURES, paper_values
 from cgemit.study.paper.results import Reproduction
-from cgemit.study.samples import ShowProgress
-from cgemit.study.scan import momentum_line, pull_line, scan_columns
+from cgemit.study.scan import line_of, pull_line
 from cgemit.tables import PARAMETERS, Table
 from cgemit.tables.show import with_error, write_csv
 
@@ -53,7 +53,7 @@ def write_figures(study: Reproduction, folder: Path, pdf: bool = False, progress
                 progress(number / len(FIGURES), "drawing figures")
     finally:
         pool.shutdown(cancel_futures=True)
-    write_csv(folder / "momentum_scan.csv", scan_columns([s for scan in study.scans.values() for s in scan]))
+    write_csv(folder / "momentum_scan.csv", row_columns([s for scan in study.scans.values() for s in scan]))
     if progress:
         progress(1.0, "writing")
 
@@ -172,7 +172,7 @@ def _track_residuals(study: Reproduction, path: Path, names: Sequence[str]) -> P
 
 
 def _against_momentum(study: Reproduction, path: Path, names: Sequence[str]) -> Picture:
-    lines = {name: [momentum_line(scan, name) for scan in study.scans.values()] for name in names}
+    lines = {name: [line_of(scan, name) for scan in study.scans.values()] for name in names}
     _write_lines(_table(path), [line for group in lines.values() for line in group])
     published = [paper_values()[f"sigma_{name}"].value for name in names]
     points = [(1.0, value) if value is not None else None for value in published]

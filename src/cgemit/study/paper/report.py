@@ -15,10 +15,10 @@ from cgemit.base.version import __version__
 from cgemit.chain.settings import Settings, finder_of, hits_text, mass_by
 from cgemit.reconstruction.candidates import finder_name
 from cgemit.simulation.transport import SimulateSettings
+from cgemit.study.evaluation import Sample
 from cgemit.study.paper.published import FIGURES, Group, PaperFigure, paper_values
 from cgemit.study.paper.results import Reproduction
 from cgemit.study.report import Code, Image, Note, Part, Section, TableOf, html_report
-from cgemit.study.samples import Sample
 from cgemit.tables import PARAMETERS
 from cgemit.tables.show import shown, with_error
 from cgemit.truth.match import measuring

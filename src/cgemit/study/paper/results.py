@@ -16,8 +16,8 @@ from cgemit.chain.record import versions
 from cgemit.chain.result import Result
 from cgemit.chain.settings import FinderLike, Settings, hits_text, mass_by
 from cgemit.detector.readouts import Readout
+from cgemit.study.evaluation import Sample
 from cgemit.study.paper.published import paper_values
-from cgemit.study.samples import Sample
 from cgemit.tables.show import Shown, Tabular, with_error
 
 #: The detectors that the paper compares.

@@ -22,18 +22,19 @@ from cgemit.detector import Detector, load
 from cgemit.detector.reader import readout_of
 from cgemit.detector.readouts import Readout
 from cgemit.particles.gun import Gun
-from cgemit.study.paper.results import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction, make_rows
-from cgemit.study.samples import (
-    Order,
+from cgemit.study.evaluation import (
+    Point,
     Sample,
     ShowProgress,
+    guns_of,
     hardly_fitted,
-    momentum_orders,
+    points_at,
     record_of,
     run_samples,
     why_unfitted,
 )
-from cgemit.study.scan import momentum_line
+from cgemit.study.paper.results import COS_THETA, DETECTORS, MOMENTA, THIN_GAP, Inputs, Reproduction, make_rows
+from cgemit.study.scan import line_of
 
 _EVENTS, _QUICK_EVENTS, _FEWEST_EVENTS = 20_000, 1_500, 400
 _SHARE = 4  # each momentum of the curves gets this part of the events
@@ -128,12 +129,12 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     thin = cgem.with_overrides({f"cgem.{layer.label}.drift_gap": f"{THIN_GAP:g} mm" for layer in cgem.cgem})
     gun = Gun("mu-", p=1.0, cos_theta=COS_THETA)
     main = [
-        Order(
+        Point(
             f"{name}, 1 GeV/c sample", detector, gun, inputs.events, inputs.seed, inputs.settings, finder=inputs.finder
         )
         for name, detector in ((cgem.name, cgem), (idc.name, idc), (f"{cgem.name} with a {THIN_GAP:g} mm gap", thin))
     ]
-    scans = [_scan_orders(detector, inputs) for detector in (cgem, idc)]
+    scans = [_scan_points(detector, inputs) for detector in (cgem, idc)]
     # Of all events that many are in the samples at 1 GeV/c, which come first: without them there is nothing to show.
     part = 0.85 * len(main) * inputs.events / sum(order.n_events for order in [*main, *scans[0], *scans[1]])
     samples = run_samples(main, threads=inputs.threads, progress=_share(progress, 0.0, part))
@@ -142,7 +143,7 @@ def _measure(inputs: Inputs, progress: ShowProgress | None) -> Reproduction:
     named = dict(zip(("cgem", "idc", "gap"), samples, strict=True))
     samples += run_samples([*scans[0], *scans[1]], threads=inputs.threads, progress=_share(progress, part, 0.85))
     curve_samples = {"cgem": tuple(samples[3 : 3 + len(MOMENTA)]), "idc": tuple(samples[3 + len(MOMENTA) :])}
-    lines = [momentum_line(scan, name) for name in MAIN for scan in curve_samples.values()]
+    lines = [line_of(scan, name) for name in MAIN for scan in curve_samples.values()]
     # Events have the same random numbers however many are run: these are the first ones of the sample.
     display = run.run(
         cgem, gun, _DISPLAY_EVENTS, inputs.seed, settings=inputs.settings, finder=inputs.finder, workers=inputs.threads
@@ -158,10 +159,11 @@ def _load(name: str, field: str | None, readout: Readout | None) -> Detector:
     return found if readout is None else found.with_readout(readout)
 
 
-def _scan_orders(detector: Detector, inputs: Inputs) -> list[Order]:
-    return momentum_orders(
-        detector, MOMENTA, cos_theta=COS_THETA, events=inputs.events_per_momentum, seed=inputs.seed,
-        settings=inputs.settings, finder=inputs.finder,
+def _scan_points(detector: Detector, inputs: Inputs) -> list[Point]:
+    guns = guns_of("mu-", {"p": MOMENTA, "cos_theta": [COS_THETA]})
+    return points_at(
+        [detector] * len(guns), guns, events=inputs.events_per_momentum, seed=inputs.seed, settings=inputs.settings,
+        finder=inputs.finder,
     )  # fmt: skip
 
 

@@ -12,25 +12,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from cgemit.analysis.quantities import ABSOLUTE, NAMES, QUANTITIES, REPORTED
-from cgemit.analysis.widths import GROUPS, core_sigma, measure, without_groups
+from cgemit.analysis.quantities import ABSOLUTE, KINEMATICS, NAMES, QUANTITIES, REPORTED
+from cgemit.analysis.widths import GROUPS
 from cgemit.base.errors import Problems, WrongValueError
 from cgemit.base.settings import SettingsData
-from cgemit.base.validate import Listed, Whole, is_whole
-from cgemit.chain import run
-from cgemit.chain.settings import Settings, fit_settings
-from cgemit.covariance.analytic import covariance_at, entries_at
-from cgemit.covariance.result import Budget, Covariance, Entries, Widths, core_widths
-from cgemit.covariance.tracks import MOST_SAMPLES, Points, points_of
+from cgemit.base.validate import Values, Whole, is_whole
+from cgemit.chain.settings import Settings
+from cgemit.covariance.result import Budget, Entries, core_widths
+from cgemit.covariance.tracks import MOST_SAMPLES
 from cgemit.detector import Detector
 from cgemit.particles.gun import Gun
 from cgemit.particles.species import species
-from cgemit.particles.table import FASTEST
-from cgemit.reconstruction.fit import FitSettings
-from cgemit.simulation.digitize import DigitizeSettings
-from cgemit.study.samples import seed_of
+from cgemit.study.evaluation import (
+    MOMENTA,
+    POLAR,
+    READERS,
+    Expectation,
+    Row,
+    guns_of,
+    kinematic_columns,
+    points_at,
+    simulated,
+)
 from cgemit.tables.schema import FitStatus
-from cgemit.truth.match import measuring
 
 #: Resolutions that are computed by default.
 SWEPT = tuple(name for name in ABSOLUTE if name in REPORTED)
@@ -43,11 +47,12 @@ _ELECTRON = 11  # PDG number
 #: What the user's own function is.
 Function = Callable[[Detector], Mapping[str, Any]]
 
-CosTheta = float | tuple[float, float]
-
-
-Momenta = Annotated[Any, Listed("momentum", 0, FASTEST, above=True)]
-Angles = Annotated[Any, Listed("dimensionless", -1, 1, ranges=True)]
+Momenta = Annotated[Any, READERS["p"]] | None
+Cosines = Annotated[Any, READERS["cos_theta"]] | None
+Polar = Annotated[Any, READERS["theta"]] | None
+Rapidities = Annotated[Any, READERS["eta"]] | None
+Azimuths = Annotated[Any, READERS["phi"]] | None
+Distances = Annotated[Any, READERS["d"]] | None
 Events = Annotated[int, Whole(1, 2**31 - 1)]
 Seed = Annotated[int, Whole(0, 2**64 - 1)]
 Samples = Annotated[int, Whole(1, MOST_SAMPLES)]
@@ -70,10 +75,15 @@ class Evaluation(SettingsData):
         of numbers (in a file ``"FILE.py:FUNCTION"``, relative to the plan).
     particle : str or int
         Name or PDG number.
-    p : float or list of float, GeV/c
-        Momenta; in text, as on the command line, ``"A,B,C"`` or ``"A:B:COUNT"``.
-    cos_theta : float, (float, float), or list of these
-        A pair is a uniform range, in text ``"A:B"``.
+    p, pt : float, (float, float), or list of these, GeV/c
+        Momenta or transverse momenta, one of them; a pair is a uniform range. In text, as on the command line,
+        ``"A,B,C"`` or ``"A:B:COUNT"``, and a range ``"A:B"``. Default: p of 1 GeV/c.
+    cos_theta, theta, eta : float, (float, float), or list of these
+        Cosine of the polar angle, polar angle (rad) or pseudorapidity, one of them, likewise. Default: a cosine of 0.
+    phi : float, (float, float), or list of these, rad
+        Azimuth of the momentum. Default: all.
+    d : float, (float, float), or list of these, mm
+        Tracks begin at (d, 0, 0). "mc" only, as ranges of `pt` and `phi`.
     events : int
         "mc": simulated events for each variant, momentum and angle.
     seed : int
@@ -102,8 +112,13 @@ class Evaluation(SettingsData):
     method: Literal["analytic", "mc"] | Function = "analytic"
     _: KW_ONLY
     particle: str | int = "mu-"
-    p: Momenta = 1.0
-    cos_theta: Angles = 0.0
+    p: Momenta = None
+    pt: Momenta = None
+    cos_theta: Cosines = None
+    theta: Polar = None
+    eta: Rapidities = None
+    phi: Azimuths = None
+    d: Distances = None
     events: Events = 2000
     seed: Seed = 1
     quantities: tuple[Resolution, ...] = SWEPT
@@ -124,6 +139,14 @@ class Evaluation(SettingsData):
             object.__setattr__(self, "quantities", names)
         if self.quantities == ():
             problems.note("quantities", "none", f"some of {', '.join(QUANTITIES)}")
+        for names, usual in ((MOMENTA, 1.0), (POLAR, 0.0)):
+            given = [name for name in names if getattr(self, name) is not None]
+            if len(given) > 1:
+                problems.note(", ".join(names), " and ".join(given), "one of them")
+            elif not given:
+                object.__setattr__(self, names[0], Values([usual]))
+        if not problems and not callable(self.method):
+            problems.collect(self._tried)
 
     @property
     def function(self) -> Function | None:
@@ -144,70 +167,71 @@ class Evaluation(SettingsData):
         simulated = {"events": self.events, "seed": self.seed, "groups": GROUPS}
         return description | (simulated if self.method == "mc" else {"samples": self.samples})
 
+    @cached_property
+    def guns(self) -> list[Gun]:
+        """What is shot at every point: momenta change slowest, then angles."""
+        given = {name: getattr(self, name) for name in KINEMATICS}
+        return guns_of(self.particle, {name: values for name, values in given.items() if values is not None})
+
     def points(self) -> list[dict[str, Any]]:
         """Return momentum and angle of every point; one point without them for a function."""
         if callable(self.method):
             return [{}]
-        as_text = any(isinstance(one, tuple) for one in self.cos_theta)
-        angles = [_text(one) if as_text else float(one) for one in self.cos_theta]
-        return [{"p (GeV/c)": float(p), "cos_theta": one} for p in self.p for one in angles]
+        columns = kinematic_columns(self.guns)
+        return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
     @cached_property
-    def points_by_angle(self) -> list[Points]:
-        """Return all momenta at each cos(theta), for `covariance_at`."""
-        p = np.array(self.p, np.float64)
-        return [points_of(self.particle, p, one, samples=self.samples) for one in self.cos_theta]
+    def expectation(self) -> Expectation:
+        """All points as "analytic" expects them."""
+        return Expectation.of(self.guns, self.settings or Settings(), self.samples)
 
-    @cached_property
-    def digitize_and_fit(self) -> tuple[DigitizeSettings, FitSettings]:
-        """Return the readout and what the fit assumes."""
-        settings = self.settings or Settings()
-        return settings.digitize, fit_settings(settings)
+    def _tried(self) -> None:
+        """Raise an error where guns, or the analytic method, cannot have what is given."""
+        _ = self.expectation if self.method == "analytic" else self.guns
+
+    @property
+    def has_ranges(self) -> bool:
+        """Whether tracks of a point have several momenta or polar angles."""
+        given = [getattr(self, name) or () for name in (*MOMENTA, *POLAR)]
+        return any(isinstance(one, tuple) for values in given for one in values)
 
     @cached_property
     def counts_radiation(self) -> bool:
         """Whether `UNSEEN` is among the results: of electrons at fixed angles, with "analytic"."""
-        fit = self.digitize_and_fit[1]
+        fit = (self.settings or Settings()).fit
         return (
             self.method == "analytic"
             and abs(species(self.particle).pdg) == _ELECTRON
-            and not any(isinstance(one, tuple) for one in self.cos_theta)
+            and not self.has_ranges
             and (fit.loss, fit.radiation, fit.matter, fit.start_radius) == ("truncated", True, True, 0.0)
         )
 
     def __call__(self, detector: Detector) -> Any:
-        """Return what `results` takes: of "analytic" the covariances for each cos(theta), else the results."""
+        """Return what `results` takes: of "analytic" the covariances at all points, else the results."""
         if self.function is not None:
             return {"columns": {name: [value] for name, value in numbers_of(self.function(detector)).items()}}
         if self.method == "analytic":
-            return _Expected(
-                [entries_at(points, detector, *self.digitize_and_fit) for points in self.points_by_angle],
-                unseen_matter(detector, self) if self.counts_radiation else None,
-            )
-        pairs = [(p, c) for p in self.p for c in self.cos_theta]
-        found = [_simulated(detector, self, number, p, c) for number, (p, c) in enumerate(pairs, start=1)]
-        columns = {name: [point[name] for point, _ in found] for name in found[0][0]}
-        return {"columns": columns, "replicas": [replicas for _, replicas in found]}
+            unseen = unseen_matter(detector, self) if self.counts_radiation else None
+            return _Expected(self.expectation.entries(detector), unseen)
+        how: dict[str, Any] = {"events": self.events, "seed": self.seed, "settings": self.settings}
+        points = points_at([detector] * len(self.guns), self.guns, **how)
+        return _simulated([Row(**simulated(point, threads=1)[1]) for point in points], self.quantities)
 
     def results(self, found: Sequence[Any]) -> list[dict[str, Any]]:
         """Return `columns` with a value for every point, and of "mc" what errors of differences follow from."""
-        return _analytic_results(found, self) if self.method == "analytic" else list(found)
-
-
-def _text(cos_theta: CosTheta) -> str:
-    return f"{cos_theta[0]:g}:{cos_theta[1]:g}" if isinstance(cos_theta, tuple) else f"{cos_theta:g}"
+        return _expected(found, self.quantities) if self.method == "analytic" else list(found)
 
 
 class _Expected(NamedTuple):
-    """Covariances of a detector for each cos(theta), and its unseen matter there, %, (momenta,) each."""
+    """Covariances of a detector at all points, and its unseen matter there, %."""
 
-    entries: list[Entries]
-    unseen: list[npt.NDArray[np.float64]] | None
+    entries: Entries
+    unseen: npt.NDArray[np.float64] | None
 
 
-def unseen_matter(detector: Detector, evaluation: Evaluation) -> list[npt.NDArray[np.float64]]:
-    """Return the radiation lengths whose losses the fit does not see, %, at all momenta for each cos(theta)."""
-    return [100 * one.losses().effective.sum(axis=1) for one in covariances(detector, evaluation)]
+def unseen_matter(detector: Detector, evaluation: Evaluation) -> npt.NDArray[np.float64]:
+    """Return the radiation lengths whose losses the fit does not see, %, at all points."""
+    return np.asarray(100 * evaluation.expectation.covariance(detector).losses().effective.sum(axis=1))
 
 
 def result_columns(method: str, quantities: Sequence[str], radiation: bool = False) -> tuple[str, ...]:
@@ -224,42 +248,28 @@ def result_columns(method: str, quantities: Sequence[str], radiation: bool = Fal
     return ("fitted", "events", *sigmas, *more)
 
 
-def covariances(detector: Detector, evaluation: Evaluation) -> list[Covariance]:
-    """Return the covariances at all momenta for each cos(theta)."""
-    digitize, fit = evaluation.digitize_and_fit
-    return [covariance_at(points, detector, digitize, fit, threads=1) for points in evaluation.points_by_angle]
-
-
-def _analytic_results(found: Sequence[_Expected], evaluation: Evaluation) -> list[dict[str, Any]]:
+def _expected(found: Sequence[_Expected], quantities: Sequence[str]) -> list[dict[str, Any]]:
     """Return the core resolutions of every point from the covariances of each detector, without events.
 
     `reached` is the fraction of tracks with a covariance; `tracks` says how most of the others ended.
     """
-    all_entries = zip(*[one.entries for one in found], strict=True)
-    by_angle = [core_widths(at_angle, evaluation.quantities) for at_angle in all_entries]
-    return [
-        {"columns": _columns(widths, one.unseen, evaluation.quantities)}
-        for widths, one in zip(zip(*by_angle, strict=True), found, strict=True)
-    ]
+    results = []
+    for widths, one in zip(core_widths([one.entries for one in found], quantities), found, strict=True):
+        columns: dict[str, list[Any]] = {QUANTITIES[name].column(): widths.sigma[name].tolist() for name in quantities}
+        if one.unseen is not None:
+            columns[_UNSEEN] = one.unseen.tolist()
+        columns |= {"reached": widths.reached.tolist()}
+        results.append({"columns": columns | {"tracks": [FitStatus(status).name for status in widths.status]}})
+    return results
 
 
-def _columns(
-    widths: Sequence[Widths], unseen: Sequence[npt.NDArray[np.float64]] | None, quantities: Sequence[str]
-) -> dict[str, list[Any]]:
-    """Return the columns of one detector from its resolutions and its unseen matter for each cos(theta)."""
-    columns: dict[str, list[Any]] = {}
-    for name in quantities:
-        columns[QUANTITIES[name].column()] = _by_point([one.sigma[name] for one in widths])
-    if unseen is not None:
-        columns[_UNSEEN] = _by_point(unseen)
-    columns["reached"] = _by_point([one.reached for one in widths])
-    columns["tracks"] = [FitStatus(status).name for status in _by_point([one.status for one in widths])]
-    return columns
-
-
-def _by_point(by_angle: Sequence[npt.NDArray[Any]]) -> list[Any]:
-    """Return values at all momenta for each angle, (momenta,) each, in the order of `Evaluation.points`."""
-    return [value for values in zip(*[one.tolist() for one in by_angle], strict=True) for value in values]
+def _simulated(rows: Sequence[Row], quantities: Sequence[str]) -> dict[str, Any]:
+    """Return resolutions of every point, and each without one of `GROUPS` groups of events."""
+    columns: dict[str, list[Any]] = {"fitted": [row.fitted for row in rows], "events": [row.n_events for row in rows]}
+    every = [row.columns_of(quantities, ("sigma",)) for row in rows]
+    columns |= {name: [one[name] for one in every] for name in every[0]}
+    replicas = [{name: row.without_groups(name)[1].tolist() for name in quantities} for row in rows]
+    return {"columns": columns, "replicas": replicas}
 
 
 def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity: str, point: int) -> dict[str, Budget]:
@@ -270,38 +280,14 @@ def budgets(evaluation: Evaluation, detectors: Mapping[str, Detector], quantity:
     ValueError
         If the evaluation was a function, or there is no such point or quantity.
     """
-    points = [(p, one) for p in evaluation.p for one in evaluation.cos_theta]
-    if evaluation.function or not is_whole(point, 0, len(points) - 1) or quantity not in NAMES:
+    points = len(evaluation.guns)
+    if evaluation.function or not is_whole(point, 0, points - 1) or quantity not in NAMES:
         raise ValueError(
             f"budgets: got {quantity!r} at point {point} of evaluation {evaluation.kind!r}; expected one of "
-            f"{', '.join(QUANTITIES)}, a point below {len(points)}, and an evaluation of resolutions"
+            f"{', '.join(QUANTITIES)}, a point below {points}, and an evaluation of resolutions"
         )
-    p, cos_theta = points[point]
-    asked = points_of(evaluation.particle, p, cos_theta, samples=evaluation.samples)
-    how = (*evaluation.digitize_and_fit, 1)
-    return {name: covariance_at(asked, one, *how).budget(quantity) for name, one in detectors.items()}
-
-
-def _simulated(
-    detector: Detector, evaluation: Evaluation, number: int, p: float, cos_theta: CosTheta
-) -> tuple[dict[str, Any], dict[str, list[float]]]:
-    """Return resolutions of one point, and each without one of `GROUPS` groups of events.
-
-    Point `number` has the same random numbers for every variant.
-    """
-    gun = Gun(evaluation.particle, p=p, cos_theta=cos_theta)
-    seed = seed_of(evaluation.seed, number)
-    tracks = run.run(detector, gun, evaluation.events, seed, settings=evaluation.settings, workers=1).tracks
-    point: dict[str, Any] = {"fitted": int(np.count_nonzero(measuring(tracks))), "events": evaluation.events}
-    replicas: dict[str, list[float]] = {}
-    for name in evaluation.quantities:
-        known = QUANTITIES[name]
-        good = known.counts(tracks)
-        sample, event = known.residual(tracks)[good], tracks["event"][good]
-        width = measure(sample)
-        point[known.column()], point[known.column(end="_error")] = width.core, width.core_error
-        replicas[name] = without_groups(sample, event, core_sigma).tolist()
-    return point, replicas
+    expectation = Expectation.of([evaluation.guns[point]], evaluation.settings or Settings(), evaluation.samples)
+    return {name: expectation.covariance(one).budget(quantity) for name, one in detectors.items()}
 
 
 def numbers_of(found: object) -> dict[str, Any]:

@@ -55,7 +55,6 @@ class TidyResult(Shown):
 WORK = "sweep"
 #: Columns that say which variant a row is of and how it ended.
 LEADING = ("variant", "name", "hash", "status", "problems")
-_POINT = ("p (GeV/c)", "cos_theta")
 _SHOWN_ROWS = 40
 _LONGEST_CELL = 120  # characters
 
@@ -114,7 +113,7 @@ class Sweep(TidyResult):
                 if name not in table:
                     table[name] = [None] * (len(rows) * len(points))
                 table[name][first : first + len(points)] = values
-        results = tuple(name for name in table if name not in (*known, *_POINT))
+        results = tuple(name for name in table if name not in known)
         table = {name: _of_one_kind(table[name]) for name in (*known, *results)}
         return Sweep(table, tuple(header for header, _ in axes), results, space, evaluation, tuple(bases), plan)
 
@@ -151,7 +150,7 @@ class Sweep(TidyResult):
         if self.space.kind != "grid":
             raise ValueError(f"to_xarray: got a space of kind {self.space.kind!r}, expected a grid")
         here = np.array(self.columns["variant"]) > 0
-        dimensions = [*self.parameters, *(name for name in _POINT if name in self.columns)]
+        dimensions = [*self.parameters, *self.evaluation.points()[0]]
         coordinates = {name: list(dict.fromkeys(self[name][here].tolist())) for name in dimensions}
         shape = tuple(len(values) for values in coordinates.values())
         data = {name: (dimensions, self[name][here].reshape(shape)) for name in (*self.results, "status", "name")}
@@ -241,7 +240,7 @@ class Sweep(TidyResult):
 
     def _table(self) -> tuple[str, list[str], list[list[str]]]:
         shown = [name for name in self.results if not name.startswith("delta_") and "_error" not in name][:6]
-        head = ["variant", "status", *self.parameters, *(name for name in _POINT if name in self.columns), *shown]
+        head = ["variant", "status", *self.parameters, *self.evaluation.points()[0], *shown]
         count = min(len(self), _SHOWN_ROWS)
         head += ["problems"] if any(self.columns["problems"][:count]) else []
         rows = [[self._cell(name, i) for name in head] for i in range(count)]

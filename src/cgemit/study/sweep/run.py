@@ -22,7 +22,7 @@ from cgemit.chain.executor import Workers, pool_of
 from cgemit.chain.run import Output
 from cgemit.detector import Detector, load
 from cgemit.detector.variants import variant_name
-from cgemit.study.samples import ShowProgress
+from cgemit.study.evaluation import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation, Function
 from cgemit.study.sweep.result import WORK, Sweep, columns_before
 from cgemit.study.sweep.space import (

@@ -25,12 +25,12 @@ from cgemit.draw.curves import draw_grid, draw_resolutions
 from cgemit.draw.event import helix_points, near
 from cgemit.draw.style import mathematical, new_picture
 from cgemit.study import measure, reproduce
+from cgemit.study.evaluation import record_of, row_columns, seed_of
 from cgemit.study.paper import DETECTORS, MOMENTA, results
 from cgemit.study.paper.figures import good_event
 from cgemit.study.paper.published import paper_values
 from cgemit.study.paper.report import paper_report
-from cgemit.study.samples import record_of, seed_of
-from cgemit.study.scan import save_scans, scan, scan_columns
+from cgemit.study.scan import save_scans, scan
 from cgemit.tables.show import shown, with_error, write_csv
 from outlines import outline
 
@@ -494,7 +494,7 @@ def test_numbers_of_a_scan(scanned, tmp_path):
     columns, unit = read(tmp_path / "out" / "resolution.csv"), {"dr": "um", "dz": "mm", "p": "MeV/c"}
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     drawn = {curve["id"]: curve for curve in summary["curves"]}
-    assert columns.keys() == scan_columns(scanned.samples).keys()
+    assert columns.keys() == row_columns(scanned.samples).keys()
     np.testing.assert_allclose(numbers(columns["p (GeV/c)"]), [0.15, 1.0])
     for name, text in unit.items():
         expected = [widths(sample.tracks, name) for sample in scanned.samples]

@@ -24,7 +24,7 @@ from cgemit.analysis.widths import jackknife, without_groups
 from cgemit.base.files import CONTENTS, OutputExistsError
 from cgemit.detector import Detector
 from cgemit.study import Evaluation, grid, latin_hypercube, sobol, sweep
-from cgemit.study.samples import seed_of
+from cgemit.study.evaluation import seed_of
 from cgemit.study.sweep.evaluate import budgets
 from cgemit.study.sweep.run import Task, rows_of_text, work
 from cgemit.study.sweep.space import PlanError, key_problems, value_problems
@@ -517,13 +517,17 @@ def test_each_value_of_an_evaluation_is_described_where_it_counts() -> None:
     """Stored chunks are found by this description: a value that it leaves out would return old results."""
     other = {
         "particle": "pi-", "p": 0.5, "cos_theta": 0.1, "events": 21, "seed": 2, "quantities": ("dr",), "samples": 3,
-        "chunk": 5, "settings": cg.Settings(fit=cg.FitSettings(loss="mean")),
+        "chunk": 5, "settings": cg.Settings(fit=cg.FitSettings(loss="mean")), "pt": 0.5, "theta": 1.0, "eta": 0.5,
+        "phi": 0.1, "d": 5.0,
     }  # fmt: skip
     assert {"method", *other} == {field.name for field in dataclasses.fields(Evaluation) if field.name != "_"}
+    with pytest.raises(ValueError, match="d: got 5, expected tracks from the origin with the analytic method"):
+        Evaluation("analytic", d=other["d"])
     unused = {"mc": {"samples", "chunk"}, "analytic": {"events", "seed", "chunk"}}
     for method, idle in unused.items():
         usual = Evaluation(method).described()
-        same = {name for name, value in other.items() if Evaluation(method, **{name: value}).described() == usual}
+        given = {name: value for name, value in other.items() if method == "mc" or name != "d"}
+        same = {name for name, value in given.items() if Evaluation(method, **{name: value}).described() == usual}
         assert same == idle
         assert usual["method"] == method
 
