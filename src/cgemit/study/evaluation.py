@@ -30,6 +30,7 @@ from cgemit.covariance.analytic import covariance_at, entries_at
 from cgemit.covariance.result import Covariance, Entries
 from cgemit.covariance.tracks import Points, points_of
 from cgemit.detector import Detector, MapField
+from cgemit.detector.inventory import material_scan
 from cgemit.detector.parts import extent
 from cgemit.particles.gun import Gun
 from cgemit.particles.table import FARTHEST, FASTEST
@@ -246,11 +247,26 @@ def leading_columns(points: Sequence[Point], method: str) -> Columns:
     }
 
 
+def matter_of(detectors: Sequence[Detector], guns: Sequence[Gun]) -> list[float]:
+    """Return X/X0 of straight tracks from the origin, %, the mean of a range; NaN along the beam or from elsewhere."""
+    found: dict[tuple[str, Any], float] = {}
+    values = []
+    for detector, gun in zip(detectors, guns, strict=True):
+        key = detector.content_hash, tuple(at_gun(gun, name) for name in POLAR)
+        if key not in found:
+            cosines = np.atleast_1d(cosines_of(gun, many=True))
+            along = np.any(np.abs(cosines) >= 1)
+            found[key] = math.nan if along else float(np.mean(material_scan(detector, cosines).total))
+        values.append(found[key] if at_gun(gun, "d") is None else math.nan)
+    return values
+
+
 def row_columns(rows: Sequence[Row]) -> Columns:
     """Return all widths of simulated rows as columns; `sigma` is the core width, as in sweeps.
 
     `median_error` is the median of the fit's own errors, `efficiency` the share of the events with a track that
-    measures its particle, and `clusters` and `wires` are the mean numbers of hits of these tracks.
+    measures its particle, `clusters` and `wires` are the mean numbers of hits of these tracks, and `x0` is the matter
+    that straight tracks cross.
     """
     columns = leading_columns(rows, "mc") | {"events": [row.n_events for row in rows]}
     every = [row.columns_of(REPORTED) for row in rows]
@@ -262,7 +278,7 @@ def row_columns(rows: Sequence[Row]) -> Columns:
     for name in ("clusters", "wires"):
         counts = [row.tracks[f"n_{name}"][measuring(row.tracks)] for row in rows]
         columns[name] = [float(np.mean(one)) if len(one) else math.nan for one in counts]
-    return columns
+    return columns | {"x0 (%)": matter_of([row.detector for row in rows], [row.gun for row in rows])}
 
 
 def difference_columns(rows: Sequence[Row], bases: Sequence[Row]) -> Columns:

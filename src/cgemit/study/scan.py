@@ -50,6 +50,7 @@ from cgemit.study.evaluation import (
     guns_of,
     hardly_fitted,
     leading_columns,
+    matter_of,
     points_at,
     row_columns,
     run_samples,
@@ -725,6 +726,8 @@ class AnalyticScan(ScanBase):
         At the points.
     covariances : tuple of Covariance
         At the points, one for each design.
+    guns : tuple of Gun
+        At the points.
 
     Examples
     --------
@@ -736,6 +739,7 @@ class AnalyticScan(ScanBase):
     x: Floats
     widths: Widths
     covariances: tuple[Covariance, ...]
+    guns: tuple[Gun, ...]
 
     method: ClassVar[str] = "analytic"
 
@@ -782,7 +786,12 @@ class AnalyticScan(ScanBase):
         for name in REPORTED:
             columns[QUANTITIES[name].column("sigma")] = self.sigma(name).tolist()
             columns[QUANTITIES[name].column("rms")] = self.sigma(name, rms=True).tolist()
-        return columns | {"reached": self.reached.tolist()}
+        columns["reached"] = self.reached.tolist()
+        for name in ("clusters", "wires"):
+            counts = np.concatenate([np.ravel(getattr(one, f"n_{name}")) for one in self.covariances])
+            columns[name] = counts.reshape(len(self.x), -1).mean(axis=1).tolist()
+        designs = [one.detector for one in self.covariances] * (len(self.x) // len(self.covariances))
+        return columns | {"x0 (%)": matter_of(designs, self.guns * (len(self.x) // len(self.guns)))}
 
     def empty(self) -> bool:
         """Tell whether no track of any point has a covariance."""
@@ -896,7 +905,7 @@ def scan_analytic(
     covariances = tuple(expectation.covariance(one, threads) for one in designs)
     found = core_widths([one.entries(expectation.mixed) for one in covariances], tuple(QUANTITIES))
     widths = found[0] if len(found) == 1 else _stacked(found)
-    return AnalyticScan(tuple(points), seed, time.perf_counter() - start, axis, x, widths, covariances)
+    return AnalyticScan(tuple(points), seed, time.perf_counter() - start, axis, x, widths, covariances, tuple(lines))
 
 
 def _stacked(found: Sequence[Widths]) -> Widths:

@@ -285,6 +285,13 @@ def test_a_list_has_a_row_for_each_value(name: str) -> None:
         assert sample.tracks == again.tracks
         assert columns["clusters"][number - 1] == pytest.approx(again.tracks["n_clusters"].mean())
         assert columns["efficiency"][number - 1] == np.mean(again.tracks["status"] == 0)
+        matter = columns["x0 (%)"][number - 1]
+        assert np.isnan(matter) == (vertex[0] > 0)
+        if name == "theta":
+            assert matter == pytest.approx(cg.material_scan(DESIGN, [np.cos(value)]).total[0])
+        elif "cos_theta" in given and name != "cos_theta" and vertex[0] == 0:  # the mean of a range
+            cosines = np.linspace(-0.93, 0.93, 400)
+            assert matter == pytest.approx(cg.material_scan(DESIGN, cosines).total.mean(), rel=0.01)
     same = scan(DESIGN, **shot(name, None), against={name: AXES[name]}, events=30, seed=4)
     assert str(same) == str(found)
     assert repr(found).splitlines()[1].startswith(found.against.head)
@@ -299,6 +306,11 @@ def test_analytic_lines_against_anything_are_those_of_analytic(name: str) -> Non
     for quantity in ("dr", "p"):
         np.testing.assert_allclose(found.sigma(quantity), expected.sigma(quantity), rtol=1e-9)
         np.testing.assert_allclose(found.sigma(quantity, rms=True), expected.rms(quantity), rtol=1e-9)
+    columns = found.columns()
+    np.testing.assert_allclose(columns["clusters"], expected.n_clusters, rtol=1e-12)
+    np.testing.assert_allclose(columns["wires"], expected.n_wires, rtol=1e-12)
+    cosines = np.broadcast_to(expected.cos_theta, found.x.shape)
+    np.testing.assert_allclose(columns["x0 (%)"], cg.material_scan(DESIGN, cosines).total, rtol=1e-9)
     asked = cg.analytic(DESIGN, **shot(name, AXES[name]), **angle)
     np.testing.assert_allclose(found.at("dz"), asked.sigma("dz"), rtol=1e-9)
     assert found.columns()[found.against.head.replace("[", "(").replace("]", ")")] == found.x.tolist()

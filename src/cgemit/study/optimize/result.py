@@ -8,12 +8,12 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from cgemit.analysis.widths import GROUPS, jackknife
-from cgemit.base.files import add_files, keep_folder
+from cgemit.base.files import add_files
 from cgemit.base.validate import is_whole
 from cgemit.base.version import PHYSICS
 from cgemit.chain.executor import Workers
@@ -24,7 +24,7 @@ from cgemit.detector.variants import variant_name
 from cgemit.study.optimize.goals import Goal, Goals, Variable, changes_of
 from cgemit.study.optimize.pareto import SIGMAS, by_noise, growth, hypervolume, nondominated, within_errors
 from cgemit.study.optimize.search import Design, Evaluator, Found
-from cgemit.study.sweep.result import TidyResult
+from cgemit.study.sweep.result import ChunkedResult, TidyResult
 from cgemit.tables.show import with_error, write_csv
 
 if TYPE_CHECKING:
@@ -82,10 +82,6 @@ def front_of(values: Any, replicas: Any) -> list[str]:
         texts[allowed[by_noise(values[allowed], replicas[allowed], front)]] = LOOSE
         texts[allowed[within_errors(values[allowed], replicas[allowed], front)]] = TIED
     return [str(one) for one in texts]
-
-
-#: What a folder of an optimization holds, in its record.
-WORK = "optimize"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -230,7 +226,7 @@ _SHOWN_ROWS = 20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Optimization(TidyResult):
+class Optimization(ChunkedResult):
     """The result of an optimization.
 
     Attributes
@@ -264,6 +260,8 @@ class Optimization(TidyResult):
     >>> round(best.detector().cgem["L2"].anode_radius, 1)  # mm
     122.4
     """
+
+    work: ClassVar[str] = "optimize"
 
     columns: dict[str, list[Any]]
     variables: tuple[Variable, ...]
@@ -370,24 +368,9 @@ class Optimization(TidyResult):
             raise ValueError(f"designs: got {rows!r:.60}, expected a list of rows from 0 to {len(self) - 1}")
         return confirm(self.evaluator, self.variables, self.columns, rows, **how)
 
-    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
-        """Write optimize.csv, detector.toml (the base), optimum.toml (of one objective) and summary.json to a folder.
-
-        Parameters
-        ----------
-        folder : path
-            One that is empty or missing, or holds results of the same optimization, which are replaced.
-        overwrite : bool
-            Whether to replace all results that the folder holds.
-
-        Raises
-        ------
-        OutputExistsError
-            If the folder holds other files, or such that were changed after they were written.
-        """
-        keep_folder(folder, WORK, self.plan, overwrite=overwrite)
-        detectors = {"optimum.toml": self.detector()} if len(self.objectives) == 1 and self.front else {}
-        return self._write(folder, "optimize.csv", detectors | {"detector.toml": self.evaluator.base}, self.summary())
+    def _detectors(self) -> dict[str, Detector]:
+        optimum = {"optimum.toml": self.detector()} if len(self.objectives) == 1 and self.front else {}
+        return optimum | {"detector.toml": self.evaluator.base}
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and minimized, how it ended, and the best designs."""

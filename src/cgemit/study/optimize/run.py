@@ -35,7 +35,7 @@ from cgemit.study.optimize.goals import (
     variables_of,
 )
 from cgemit.study.optimize.pareto import evolve, optuna
-from cgemit.study.optimize.result import WORK, Optimization
+from cgemit.study.optimize.result import Optimization
 from cgemit.study.optimize.search import (
     Design,
     Evaluator,
@@ -139,7 +139,7 @@ def optimize(
     task = _checked(start, space, minimize, constraints or {}, evaluation, (background, prices or {}), how, problems)
     place, where = output_of(output), workers_of(workers)
     plan = _names(task, how)
-    folder = chunk_folder(place, WORK, plan[1:], plan[1:])
+    folder = chunk_folder(place, Optimization.work, plan[1:], plan[1:])
     journal = folder.with_name("journals") / f"{plan[0]}.log" if folder else None
     if started:
         started()

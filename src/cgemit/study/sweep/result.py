@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -39,20 +39,50 @@ class TidyResult(Shown):
         """Return the table as a `pandas.DataFrame`."""
         return data_frame(self.columns)
 
-    def _write(
-        self, folder: str | os.PathLike[str], table: str, detectors: Mapping[str, Detector], summary: Mapping[str, Any]
-    ) -> list[Path]:
-        """Write table, detectors and summary to a folder; return the files."""
+
+class ChunkedResult(TidyResult):
+    """A table that is made of chunks, whose names are its `plan`; its folder holds `work`, the name of the table."""
+
+    plan: tuple[str, ...]
+    work: ClassVar[str]
+
+    def summary(self) -> dict[str, Any]:
+        """Return what `summary.json` holds."""
+        raise NotImplementedError
+
+    def _detectors(self) -> dict[str, Detector]:
+        """Return the detectors that are written, by file name."""
+        raise NotImplementedError
+
+    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+        """Write sweep.csv or optimize.csv, detector.toml (the base), optimum.toml (if there is one) and summary.json.
+
+        Parameters
+        ----------
+        folder : path
+            One that is empty or missing, or holds results of the same plan, which are replaced.
+        overwrite : bool
+            Whether to replace all results that the folder holds.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        OutputExistsError
+            If the folder holds other files, or such that were changed after they were written.
+        """
+        keep_folder(folder, self.work, self.plan, overwrite=overwrite)
         with add_files(folder) as place:
-            write_csv(place / table, self.columns)
-            files = write_files(place, detectors)
-            (place / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+            write_csv(place / f"{self.work}.csv", self.columns)
+            files = write_files(place, self._detectors())
+            (place / SUMMARY).write_text(json.dumps(self.summary(), indent=2) + "\n", encoding="utf-8")
             names = [str(path.relative_to(place)) for path in files]
-        return [Path(folder) / name for name in (table, *names, SUMMARY)]
+        return [Path(folder) / name for name in (f"{self.work}.csv", *names, SUMMARY)]
 
 
-#: What a folder of a sweep holds, in its record.
-WORK = "sweep"
 #: Columns that say which variant a row is of and how it ended.
 LEADING = ("variant", "name", "hash", "status", "problems")
 _SHOWN_ROWS = 40
@@ -60,7 +90,7 @@ _LONGEST_CELL = 120  # characters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep(TidyResult):
+class Sweep(ChunkedResult):
     """The result of a sweep.
 
     Attributes
@@ -86,6 +116,8 @@ class Sweep(TidyResult):
     >>> [round(sigma) for sigma in swept.columns["sigma_dr (um)"]], swept.detector(1).cgem["L1"].pitch_x
     ([170, 134], 0.4)
     """
+
+    work: ClassVar[str] = "sweep"
 
     columns: dict[str, list[Any]]
     parameters: tuple[str, ...]
@@ -156,23 +188,8 @@ class Sweep(TidyResult):
         data = {name: (dimensions, self[name][here].reshape(shape)) for name in (*self.results, "status", "name")}
         return xarray.Dataset(data, coords=coordinates, attrs={"base": self.bases[0].name})
 
-    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
-        """Write sweep.csv, detector.toml (the base) and summary.json to a folder; return the files.
-
-        Parameters
-        ----------
-        folder : path
-            One that is empty or missing, or holds results of the same plan, which are replaced.
-        overwrite : bool
-            Whether to replace all results that the folder holds.
-
-        Raises
-        ------
-        OutputExistsError
-            If the folder holds other files, or such that were changed after they were written.
-        """
-        keep_folder(folder, WORK, self.plan, overwrite=overwrite)
-        return self._write(folder, "sweep.csv", {"detector.toml": self.bases[0]}, self.summary())
+    def _detectors(self) -> dict[str, Detector]:
+        return {"detector.toml": self.bases[0]}
 
     def summary(self) -> dict[str, Any]:
         """Return what `summary.json` holds: what was varied and evaluated, and how the variants ended."""

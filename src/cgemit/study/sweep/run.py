@@ -24,7 +24,7 @@ from cgemit.detector import Detector, load
 from cgemit.detector.variants import variant_name
 from cgemit.study.evaluation import ShowProgress
 from cgemit.study.sweep.evaluate import Evaluation, Function
-from cgemit.study.sweep.result import WORK, Sweep, columns_before
+from cgemit.study.sweep.result import Sweep, columns_before
 from cgemit.study.sweep.space import (
     NAMES_FILES,
     Changes,
@@ -330,7 +330,7 @@ def sweep(
     tasks = [_task(bases[i : i + size], evaluation) for i in range(0, len(bases), size)]
     place, where = output_of(output), workers_of(workers)
     plan = tuple(task.address for task in tasks)
-    folder = chunk_folder(place, WORK, plan, plan[part[0] :: part[1]] if part else plan)
+    folder = chunk_folder(place, Sweep.work, plan, plan[part[0] :: part[1]] if part else plan)
     if started:
         started()
     detectors = [detector for detector, _ in bases]
