@@ -5,9 +5,29 @@
 #include <span>
 
 #include "matter/draws.hpp"
+#include "matter/radiation.hpp"
 #include "matter/track.hpp"
 
 namespace cgemit {
+
+// The bracket multiplied by xi/beta^2, for electrons and positrons: F-(tau, D) and F+(tau, D) of Berger and
+// Seltzer, energies in m_e.
+template <class T>
+T light_bracket(const Slab& slab, const KinematicsOf<T>& k, const T& limit) {
+  const T tau = k.kinetic() / electron_mass, d = smaller(limit / electron_mass, 0.999999 * tau);
+  const T factor = 2 * electron_mass * electron_mass * (k.gamma + 1.0);
+  const T term = read<&SlabPoint::log_term>(slab, k.log_bg).value;
+  if (k.projectile == Projectile::electron) {
+    const T left = tau - d, gamma2 = k.gamma * k.gamma;
+    return term - 1.0 - k.beta2 + log(factor * left * d) + tau / left +
+           (0.5 * d * d + (2.0 * tau + 1.0) * log(left / tau)) / gamma2;
+  }
+  const T y = 1.0 / (k.gamma + 1.0), d2 = d * d, d3 = d2 * d;
+  return term + log(factor * tau * d) -
+         k.beta2 / tau *
+             (tau + 2.0 * d - 1.5 * d2 * y - (d - d3 / 3.0) * y * y -
+              (0.5 * d2 - tau * d3 / 3.0 + 0.25 * d2 * d2) * y * y * y);
+}
 
 // Mean energy loss by collisions with a transfer below `cut` (all of them for cut >= w_max).
 // Heavy particles: PDG 2024 eqs. 34.5 and 34.11, with the term of spin 1/2 (Rossi, High Energy Particles,
@@ -78,8 +98,6 @@ void set_unseen(Slab& slab, double share);
 // Fills in `Slab::unseen`. `variances`: of kappa, by the stragglings of all slabs, of a particle from the
 // origin, with the shares that the detector had.
 void share_loss(Detector& detector, std::span<const double> variances, const Kinematics& start, double tanl);
-
-LossMoments light_core_loss(const Slab& slab, double path, const Kinematics& k, const TrackMatter& track);
 
 // The cut of heavy particles, and the numbers that it is made of, GeV.
 template <class T>
@@ -175,20 +193,35 @@ LossMomentsOf<T> heavy_core_loss(const Slab& slab, T path, const KinematicsOf<T>
 }
 
 template <class T>
+LossMomentsOf<T> light_core_loss(const Slab& slab, const T& path, const KinematicsOf<T>& k,
+                                 const TrackMatterOf<T>& track) {
+  const T xi = slab.xi * path * k.charge2_per_beta2, w_max = k.w_max();
+  const T unseen = light_cut(k, track), wanted = unseen * slab.per_unseen,
+          wanted_variance = track.loss.variance * wanted;
+  const T cut = smaller(wanted, w_max), hardest = smaller(wanted_variance, w_max);
+  const T bracket = larger(light_bracket(slab, k, cut), 0.0);
+  // Photons are cut like collisions, but can take all energy.
+  const T x0 = track.loss.radiation * slab.x0 * path, per_energy = 1.0 / k.energy;
+  const T y = smaller(wanted * per_energy, 1.0), mean = radiated_mean(y);
+  const T variance = radiated_variance(smaller(wanted_variance * per_energy, 1.0));
+  // Per ln(p) the bracket grows by 2, and by the growth of the cut, from its equation above; 1/beta^2 is
+  // nearly constant.
+  const T error = track.error * k.p / k.per_beta, resolved = track.loss.light.sigmas2 * error * error;
+  const T rate =
+      select(unseen > 0.0, 2.0 * resolved / (resolved + light_rest(track) * unseen * unseen), T(0.0));
+  const T grow = 2.0 + select(wanted < w_max, rate, T(0.0));
+  const T growth = select(wanted < k.energy, radiated_growth(y), T(0.0));
+  const T slope =
+      (xi * (grow + read<&SlabPoint::log_term>(slab, k.log_bg).slope) + x0 * growth * wanted * rate) *
+          k.per_p +
+      x0 * (mean - y * growth) * k.p * per_energy;
+  return {xi * bracket + x0 * k.energy * mean, xi * hardest + x0 * k.energy * k.energy * variance, slope};
+}
+
+template <class T>
 LossMomentsOf<T> core_loss(const Slab& slab, T path, const KinematicsOf<T>& k,
                            const TrackMatterOf<T>& track) {
-  if (!k.is_light()) return heavy_core_loss(slab, path, k, track);
-  LossMomentsOf<T> out;
-  for (int i = 0; i < lanes_of<T>; ++i) {
-    const Kinematics one(lane(k.p, i), {lane(k.mass, i), 1.0, k.projectile});
-    TrackMatter matter{lane(track.x0, i), lane(track.xi, i), {}, track.loss};
-    matter.error = lane(track.error, i);
-    const LossMoments moments = light_core_loss(slab, lane(path, i), one, matter);
-    set_lane(out.loss, i, moments.loss);
-    set_lane(out.variance, i, moments.variance);
-    set_lane(out.slope, i, moments.slope);
-  }
-  return out;
+  return k.is_light() ? light_core_loss(slab, path, k, track) : heavy_core_loss(slab, path, k, track);
 }
 
 // Rate of collisions with this transfer, relative to xi/(beta^2 E^2).

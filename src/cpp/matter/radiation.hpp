@@ -10,10 +10,19 @@ namespace cgemit {
 
 // Mean and variance of y per radiation length by photons below a share `y` of the energy: integrals of y dN
 // and y^2 dN from 0. All photons have the mean 1 and the variance 17/36.
-inline constexpr double radiated_mean(double y) { return y * (4.0 / 3 - y * (2.0 / 3 - y / 3)); }
-inline constexpr double radiated_variance(double y) { return y * y * (2.0 / 3 - y * (4.0 / 9 - y / 4)); }
+template <class T>
+constexpr T radiated_mean(const T& y) {
+  return y * (4.0 / 3 - y * (2.0 / 3 - y * (1.0 / 3)));
+}
+template <class T>
+constexpr T radiated_variance(const T& y) {
+  return y * y * (2.0 / 3 - y * (4.0 / 9 - y * 0.25));
+}
 // d(radiated_mean)/dy
-inline constexpr double radiated_growth(double y) { return 4.0 / 3 - y * (4.0 / 3 - y); }
+template <class T>
+constexpr T radiated_growth(const T& y) {
+  return 4.0 / 3 - y * (4.0 / 3 - y);
+}
 
 // Energy, GeV, of the photons that an electron of this energy radiates in x0 radiation lengths. The photons
 // leave the detector.
