@@ -483,7 +483,8 @@ def table(gas: str) -> dict[float, Floats]:
     Parameters
     ----------
     gas : str
-        ``"ar-ic4h10-90-10"``, ``"ar-co2-70-30"``, or without magnetic field ``"he-ic4h10-90-10"``, ``"he-c2h6-50-50"``.
+        ``"ar-ic4h10-90-10"``, ``"ar-co2-70-30"``, or without magnetic field ``"he-c3h8-60-40"``, ``"he-ic4h10-80-20"``,
+        ``"he-ic4h10-90-10"``, ``"he-c2h6-50-50"``.
 
     Returns
     -------

@@ -349,6 +349,38 @@ def test_helium_mixtures() -> None:
         assert velocity == pytest.approx(transport(gas, e, 0.0).velocity, rel=0.01)
 
 
+def test_helium_mixtures_of_this_package() -> None:
+    """The order of mixtures: more helium is slower from 0.3 kV/cm on.
+
+    Einstein's relation bounds the widths at the thermal energy of 25.3 meV.
+    """
+    fields = (0.1, 0.3, 1.0, 3.0)
+    for one, other in (("he-ic4h10-90-10", "he-ic4h10-80-20"), ("he-ic4h10-80-20", "he-c3h8-60-40")):
+        assert all(transport(one, e, 0.0).velocity < transport(other, e, 0.0).velocity for e in (0.3, 1.0, 3.0))
+    for name in ("he-c3h8-60-40", "he-ic4h10-80-20"):
+        for e in fields:
+            least = math.sqrt(2 * 0.0253 / (100 * e))  # sqrt(mm), of 2 kT/(e E), E in V/mm
+            assert transport(name, e, 0.0).sigma_l > 0.95 * least
+            assert transport(name, e, 0.0).sigma_x > 0.95 * least
+    assert transport("he-c3h8-60-40", 1.0, 0.0).velocity == pytest.approx(30.39e-3)
+    assert transport("he-ic4h10-80-20", 1.0, 0.0).sigma_l == pytest.approx(130e-3 / math.sqrt(10))
+
+
+def test_drift_in_a_tube_gives_the_relation_of_babar_like() -> None:
+    """Time as an integral over the velocity at 1.5 T; without magnetic field the way to 9 mm is 0.78 of the time."""
+    field, along = np.array([0.3, 0.5, 1, 2, 4]), 1e-3 * np.array([9.415, 14.68, 23.72, 30.84, 35.46])
+    r = np.linspace(0.01, 9, 100_000)
+    e = 1.960 / (0.1 * r * math.log(math.sqrt(18 * 11.9 / math.pi) / 0.01))
+    velocity = np.interp(np.log(e), np.log(field), along)
+    time = np.cumsum(np.gradient(r) / velocity)
+    layer = load("babar-like").drift_chamber.layers[0]
+    points = [(one.distance, one.time) for one in layer.drift_relation]
+    for distance, expected in points[1:]:
+        assert np.interp(distance, r, time) == pytest.approx(expected, abs=0.5)
+    free = np.array([transport("he-ic4h10-80-20", min(one, 5.0), 0.0).velocity for one in e[::100]])
+    assert np.sum(np.gradient(r[::100]) / free) / points[-1][1] == pytest.approx(0.78, abs=0.06)
+
+
 def test_all_problems_of_all_layers_at_once() -> None:
     detector = DESIGN.with_overrides(
         {"cgem.L1.drift_field": "900 V/cm", "cgem.L2.gas": "Ar", "cgem.L3.induction_field": "6 kV/cm"}

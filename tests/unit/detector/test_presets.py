@@ -306,7 +306,7 @@ def test_a_chamber_with_unlike_ends_and_a_table_of_errors() -> None:
     assert [silicon[f"SVT{i}"].radius for i in range(1, 6)] == [33.2, 40.2, 59.2, 122.2, 142.2]
     pipe = detector.beam_pipe[0]
     assert pipe.thickness / pipe.material.x0 == pytest.approx(0.25 * 1.5462 / 42.2, rel=0.01)
-    assert "drift times as in BESIII" in detector.drift_chamber.text()
+    assert "drift times of a table of 11 points" in detector.drift_chamber.text()
 
 
 def test_a_chamber_of_axial_and_stereo_superlayers_behind_silicon() -> None:
