@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -15,9 +16,10 @@ import cgemit as cg
 from cgemit.calibration.blocks import Blocks
 from cgemit.calibration.constants import Constant, constants_of, neighbours
 from cgemit.calibration.modes import LEAST_HITS, solve
-from cgemit.calibration.sums import Sums, expected_sums, fitted_sums
+from cgemit.calibration.sums import Sums, expected_sums, expected_tracks, fitted_sums, track_sums
 from cgemit.detector.layers.layer import PLACEMENT
-from cgemit.reconstruction.fit import FitSettings
+from cgemit.particles.gun import generate
+from cgemit.reconstruction.fit import FitSettings, compiled_for_fit
 from dense import smeared_track
 from normal import derivatives, summed
 
@@ -219,3 +221,23 @@ def test_what_does_not_go_with_single_wires() -> None:
     run = cg.run(detector, MUONS, n=5)
     with pytest.raises(ValueError, match="expected neither records"):
         cg.write_mille("mille.bin", run, cg.AlignmentSettings(free=WIRES, pairs=()))
+
+
+@pytest.mark.slow
+def test_all_wires_of_besiii_take_a_minute() -> None:
+    """25 248 constants in 20 000 muons of 1 GeV/c: the seconds of all cores together, after the expected hits."""
+    detector = cg.load("besiii-cgem-design").with_readout("gaussian")
+    constants, fit = single(detector), FitSettings()
+    assert len(constants) == 25_248
+    muons = cg.Gun("mu-", p=1.0, cos_theta=(-0.8, 0.8)) + cg.Gun("mu+", p=1.0, cos_theta=(-0.8, 0.8))
+    particles = generate(muons, 10_000, 1, detector=detector)
+    helices = cg.helix.at_origin(particles, detector.field.bz)
+    mass, charge = (np.asarray(particles[name], np.float64) for name in ("mass", "charge"))
+    expected = expected_tracks(detector, helices, mass, np.abs(charge), fit)
+    start = time.process_time()
+    sums = track_sums(compiled_for_fit(detector, fit), detector, constants, *expected, particles["event"], fit)
+    found = solve(detector, constants, sums, {one.name: 0.05 for one in constants})
+    assert time.process_time() - start <= 60
+    assert sums.tracks > 19_000
+    assert found.determined.all()
+    assert np.median(found.err[1::2]) == pytest.approx(0.031, abs=0.002)
