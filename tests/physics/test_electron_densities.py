@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import kstest, norm
 
 import cgemit as cg
+from cgemit.tables.schema import has_momentum
 from cores import mode_of
 from stats import assert_within, fraction_error
 
@@ -31,7 +32,7 @@ class Fitted(NamedTuple):
 @cache
 def fitted(detector: str, particle: str, p: float, cos_theta: float = 0.0) -> Fitted:
     result = cg.run(detector, cg.Gun(particle, p=p, cos_theta=cos_theta), N, seed=45, settings=cg.Settings(fit=FIT))
-    good = np.asarray((result.tracks["status"] == cg.FitStatus.ok) & (result.tracks["match"] == cg.MatchStatus.matched))
+    good = np.asarray(has_momentum(result.tracks) & (result.tracks["match"] == cg.MatchStatus.matched))
     error = float(np.median((result.tracks["err_p"] / result.tracks["p"])[good]))
     return Fitted(p, result.tracks, result.components, good, np.log(p / result.tracks["p"]), error)
 
@@ -135,7 +136,7 @@ def test_a_break_shows_where_it_is():
     settings = cg.Settings(simulate=cg.SimulateSettings(deltas=False), fit=FIT)
     result = cg.run("idea-like", cg.Gun("e-", p=1.0, cos_theta=0.0), 1500, seed=5, settings=settings)
     tracks = result.tracks
-    good = np.asarray(tracks["status"] == cg.FitStatus.ok)
+    good = has_momentum(tracks)
     core = good & (np.abs(tracks["p"] / 1.0 - 1) < 0.002)
     assert np.mean(tracks["radiated"][core]) < 0.05
     assert 0.02 < np.mean(tracks["radiated"][good] > 0.9) < 0.15

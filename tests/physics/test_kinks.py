@@ -12,6 +12,7 @@ from scipy.stats import chi2, kstest
 
 import cgemit as cg
 from cgemit.reconstruction.fit import PARAMETERS, FitSettings
+from cgemit.tables.schema import has_momentum
 from exact import exact
 from fields import HARMONIC
 from pages.optimal import Hit, Optimum, error_of, follow, optimum, stack_of
@@ -103,7 +104,7 @@ def test_chi_square_is_flat_where_tracks_turn_back() -> None:
     flat = {}
     for kinks in (True, False):
         tracks = sample(kinks, gun, 4000).tracks
-        good = tracks["status"] == 0
+        good = has_momentum(tracks)
         assert good.mean() > 0.99
         flat[kinks] = kstest(chi2.sf(tracks["chi2"][good], tracks["ndf"][good]), "uniform").pvalue
     assert flat[True] > 1e-4
@@ -120,7 +121,7 @@ def test_bias_of_kappa() -> None:
     expected = optimal_estimate(sample(True, gun, 20_000), 0)
     for kinks, best_bias in ((True, expected.bias[2]), (False, expected.linear_bias[2])):
         tracks = sample(kinks, gun, 20_000).tracks
-        good = tracks["status"] == 0
+        good = has_momentum(tracks)
         bias = np.mean(tracks["res_kappa"][good]) / np.sqrt(np.mean(tracks["err_kappa"][good] ** 2))
         assert bias == pytest.approx(best_bias, abs=4 / math.sqrt(20_000))
     assert expected.bias[2] < 0.08 < 0.14 < expected.linear_bias[2]

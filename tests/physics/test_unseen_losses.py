@@ -8,6 +8,7 @@ import pytest
 import cgemit as cg
 from cgemit.detector import slabs
 from cgemit.fit_matter import tuned
+from cgemit.tables.schema import has_momentum
 from cores import core_of
 from pages.optimal import Hit, unseen
 from stats import assert_within
@@ -65,7 +66,7 @@ def test_expected_momentum_errors_are_simulated_ones(name: str, p: float) -> Non
     """Where straggling is a large part of the error, the expected one is that of the core to 5 %."""
     n = 3000
     found = cg.run(name, cg.Gun("mu-", p=p, cos_theta=0.0), n, seed=12)
-    good = (found.tracks["status"] == 0) & (found.matches["decayed"] == 0)
+    good = has_momentum(found.tracks) & (found.matches["decayed"] == 0)
     core = core_of(1e3 * found.matches["res_p"][good], 3.0)
     wanted = float(cg.analytic(name, "mu-", p=p, cos_theta=0.0).sigma("p"))
     assert_within(core.width, wanted, np.hypot(core.error, 0.0125 * wanted), what="sigma(p)")

@@ -17,6 +17,7 @@ from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
 from cgemit.study import fit_form, scan, scan_analytic
 from cgemit.study.scan import compared, fits_text, line_values, save_scans
+from cgemit.tables.schema import has_momentum
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -213,7 +214,7 @@ def test_fits_are_those_of_the_curves(line, points):
                 sigma, error = line.sigma("pt_rel"), None
             else:
                 rows = [s.tracks for s in points.samples]
-                ratios = [np.abs(t["truth_kappa"] / t["kappa"])[t["status"] == 0] - 1 for t in rows]
+                ratios = [np.abs(t["truth_kappa"] / t["kappa"])[has_momentum(t)] - 1 for t in rows]
                 widths = [cg.study.measure(100 * one) for one in ratios]
                 sigma, error = ([getattr(w, what) for w in widths] for what in ("core", "core_error"))
             p = line.x if scanned is line else MOMENTA

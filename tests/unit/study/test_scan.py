@@ -20,6 +20,7 @@ from cgemit.draw.style import mathematical
 from cgemit.study import measure, scan, scan_analytic
 from cgemit.study.evaluation import seed_of
 from cgemit.study.scan import columns_of, save_scans
+from cgemit.tables.schema import has_momentum
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -35,7 +36,7 @@ def pair() -> list[Any]:
 
 def by_hand(tracks: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return residuals and errors of each quantity in the unit of its column, from momentum vectors."""
-    good = {name: column[tracks["status"] == 0] for name, column in tracks.columns.items()}
+    good = {name: column[has_momentum(tracks)] for name, column in tracks.columns.items()}
     fitted, true = ([good[f"{start}{name}"] for name in ("kappa", "tanl")] for start in ("", "truth_"))
     pt, true_pt = (1 / np.abs(kappa) for kappa, _ in (fitted, true))
     theta, true_theta = (np.arccos(tanl / np.sqrt(1 + tanl**2)) for _, tanl in (fitted, true))
@@ -133,7 +134,7 @@ def test_differences_have_the_errors_of_pairs(pair: list[Any]) -> None:
     base, other = (one.samples[1] for one in pair)
     for name, unit in UNITS.items():
         mine, theirs = (by_hand(one.tracks)[name] for one in (other, base))
-        groups = [one.tracks["event"][one.tracks["status"] == 0] % 20 for one in (other, base)]
+        groups = [one.tracks["event"][has_momentum(one.tracks)] % 20 for one in (other, base)]
         expected = measure(mine[0]).core - measure(theirs[0]).core
         assert columns[f"delta_sigma_{name} ({unit})"][3] == pytest.approx(expected, rel=1e-9)
         left_out = np.array([
