@@ -93,7 +93,7 @@ class ExpectedHits {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
     if (again_) return repeat(step, at);
-    const Mask outward = alive & reach_.chamber & (at.outward() >= 0.0);
+    const Mask outward = alive & reach_.chamber & at.is_outward();
     if (!any(outward)) return;
     CellRange<T, HelixPointOf<T>> range;
     const Mask found = cells_.find(index, at, outward, range);

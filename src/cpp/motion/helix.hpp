@@ -25,7 +25,9 @@ struct HelixPointOf {
   T w;        // 1/mm, turning per transverse arc
 
   T radius() const { return sqrt(x * x + y * y); }
-  T outward() const { return x * ux + y * uy; }   // P
+  T outward() const { return x * ux + y * uy; }  // P
+  // Whether the point is not before the closest approach, where P is 0 but for rounding, mm.
+  mask_of<T> is_outward() const { return outward() > -1e-9; }
   T sideways() const { return x * uy - y * ux; }  // S
 };
 using HelixPoint = HelixPointOf<double>;

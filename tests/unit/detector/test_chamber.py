@@ -216,6 +216,15 @@ def test_tracks_are_found_and_fitted_in_a_short_chamber_inside_a_long_one() -> N
     assert np.isfinite(cg.analytic(short_inside(), "mu-", p=1.0, cos_theta=[0.0, 0.9]).sigma("p")).all()
 
 
+def test_first_wires_are_found_where_no_part_lies_before_them() -> None:
+    """The first layers have the hits of the particles: by rounding, the closest approach is before itself."""
+    gun = cg.Gun("mu-", p=(0.3, 2.0), cos_theta=(-0.9, 0.9))
+    how = cg.Settings(simulate=cg.SimulateSettings(fluctuations="gaussian", decays=False))
+    found, own = (cg.run(short_inside(), gun, n=400, seed=4, settings=how, finder=name) for name in ("ckf", "truth"))
+    hits = [np.bincount(one.wire_hits["layer"][one.candidate_hits["hit"]])[:3].sum() for one in (found, own)]
+    assert hits[0] > 0.995 * hits[1] > 1000
+
+
 def test_it_writes_plain_layers_and_reads_them_back() -> None:
     detector = cg.load(chamber(A1, A2))
     tables = tomllib.loads(detector.to_toml())

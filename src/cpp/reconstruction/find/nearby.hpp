@@ -77,7 +77,7 @@ class NearbyHits {
   CGEMIT_FLATTEN void passes(GroupStep& step, const HelixPoint& at, bool alive) {
     step.first = step.last = next_;
     const std::size_t index = layer_++;
-    if (!alive || !reach_.chamber || at.outward() < 0) return;
+    if (!alive || !reach_.chamber || !at.is_outward()) return;
     const WireLayer& layer = detector_.wires[index];
     CellRange<double, HelixPoint> range;
     // Not met are layers below the closest approach and those that the track does not reach.
