@@ -309,7 +309,8 @@ class Points(Part):
 
     def texts(self, number: int) -> tuple[str, str]:
         """Return momentum (GeV/c) and cosine of one of the flattened points as text, ranges as ``-0.93 to 0.93``."""
-        p, cosine = ([f"{end.flat[number]:.4g}" for end in limits] for limits in (self.p, self.cos_theta))
+        p = [f"{end.flat[number]:.4g}" for end in self.p]
+        cosine = [f"{round(float(end.flat[number]), 12) + 0.0:.4g}" for end in self.cos_theta]  # of 90 deg: 0
         return " to ".join(dict.fromkeys(p)), " to ".join(dict.fromkeys(cosine))
 
 
@@ -431,7 +432,10 @@ def shot_of(
     if theta is not None:
         angles = _numbers("theta", theta, "angle", problems)
         if not ((angles > 0) & (angles < np.pi)).all():
-            problems.note("theta", f"{theta!r:.60}", "angles between 0 and pi rad")
+            wrong = angles[~((angles > 0) & (angles < np.pi))].flat[0]
+            plain = not any(isinstance(one, str) for one in (theta if isinstance(theta, list) else [theta]))
+            hint = f'did you mean "{wrong:g} deg"?' if plain and 0 < wrong < 180 else ""
+            problems.note("theta", f"{theta!r:.60}", "angles between 0 and pi rad", hint)
         cos_theta = np.cos(angles)
     elif eta is not None:
         cos_theta = np.tanh(_numbers("eta", eta, "", problems))
@@ -495,7 +499,8 @@ def _numbers(name: str, raw: Any, dimension: str, problems: Problems) -> Floats:
     except QuantityError as error:
         problems.take(error, name)
     except (TypeError, ValueError):
-        problems.note(name, f"{raw!r:.60}", "one or more numbers")
+        hint = "a range is a tuple (low, high)" if isinstance(raw, str) and ":" in raw else ""
+        problems.note(name, f"{raw!r:.60}", "one or more numbers", hint)
     return np.array(0.5)
 
 
@@ -519,7 +524,11 @@ def _check(arrays: Mapping[str, Floats], p_high: Floats, c_high: Floats, problem
     try:
         np.broadcast_shapes(*shapes)
     except ValueError:
-        problems.note(", ".join(arrays), f"shapes {', '.join(map(str, shapes))}", "shapes that can be broadcast")
+        several = {name: numbers.shape for name, numbers in arrays.items() if numbers.shape}
+        given = f"shapes {', '.join(map(str, several.values()))}"
+        first = next(iter(several))
+        hint = f"with {first} as a column, np.array({first})[:, None], every {first} is combined with the others"
+        problems.note(", ".join(several), given, "shapes that can be broadcast", hint)
 
 
 def _sampled(low: Floats, high: Floats, draws: Floats) -> Floats:

@@ -732,6 +732,12 @@ def test_momenta_and_angles_by_other_names() -> None:
         ({"pt": 0.5, "cos_theta": (0.0, 0.5)}, ("cos_theta: got the range",)),
         ({"theta": "200 deg"}, ("theta: got '200 deg', expected angles between 0 and pi rad",)),
         ({"pt": "1 mm"}, ("pt: got",)),
+        ({"theta": [1.0, 30]}, ('theta: got [1.0, 30], expected angles between 0 and pi rad; did you mean "30 deg"?',)),
+        ({"cos_theta": "0:0.9"}, ("expected one or more numbers; a range is a tuple (low, high)",)),
+        (
+            {"p": [0.3, 1.0], "cos_theta": [0.0, 0.5, 0.9]},
+            ("p, cos_theta: got shapes (2,), (3,), expected shapes that can be broadcast; with p as a column",),
+        ),
     ],
 )
 def test_momenta_and_angles_that_make_no_sense(given: dict[str, Any], texts: tuple[str, ...]) -> None:
@@ -739,6 +745,12 @@ def test_momenta_and_angles_that_make_no_sense(given: dict[str, Any], texts: tup
         cg.analytic("besiii-cgem-design", **given)
     for text in texts:
         assert text in str(caught.value)
+
+
+def test_text_of_a_right_angle() -> None:
+    text = str(cg.analytic("besiii-cgem-design", theta=["90 deg", "91 deg"]))
+    assert "cos(theta) 0: " in text
+    assert "cos(theta) -0.01745: " in text
 
 
 def test_names_that_physicists_type() -> None:
