@@ -49,7 +49,9 @@ def values_of_key(text: str) -> list[Any]:
     from cgemit.study.sweep.space import split_range
 
     parts = [part.strip() for part in text.split(":")]
-    ends = split_range(literal(parts[0]), literal(parts[1])) if len(parts) == 3 else None
+    ends = split_range(literal(parts[0]), literal(parts[1])) if len(parts) in (2, 3) else None
+    if ends is not None and len(parts) == 2:
+        raise argparse.ArgumentTypeError(f"got {text}, a range; expected A,B,C or A:B:COUNT, such as {text}:5")
     if ends is None or ends[0]:
         return [literal(part.strip()) for part in text.split(",")]
     count, (_, low, high, unit) = whole(parts[2], 2, 1000), ends

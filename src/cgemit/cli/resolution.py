@@ -142,7 +142,10 @@ def _against(arguments: argparse.Namespace) -> str | dict[str, list[Any]] | None
         if not equals or not text:
             expected = f"one of {', '.join(KINEMATICS)}, or KEY=VALUES of the detector"
             raise options.InputError(f"--against: got {arguments.against!r}; expected {expected}")
-        return {name: options.values_of_key(text)}
+        try:
+            return {name: options.values_of_key(text)}
+        except argparse.ArgumentTypeError as error:
+            raise options.InputError(f"--against: {name}: {error}") from None
     if equals:
         if getattr(arguments, known) is not None:
             raise options.InputError(f"--against, {option}: got both; expected one of them")

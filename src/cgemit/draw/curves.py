@@ -238,7 +238,12 @@ def _scale_momenta(axes: Axes, curves: Sequence[Line], ticks: Floats | None) -> 
 
 
 def _set_ticks(axes: Axes, x: Floats, room: float, scale: Callable[[float], float] = float) -> None:
-    """Set ticks at values in increasing order, from the last one on, where they are so far apart on a scale."""
+    """Set ticks at values in increasing order, from the last one on, where they are so far apart on a scale.
+
+    `room` is that of labels of up to four characters.
+    """
+    longest = max(len(f"{tick:.4g}") for tick in x)
+    room *= longest / 3 if longest > 4 else 1
     ticks = [x[-1]]
     for tick in x[-2::-1]:
         if scale(ticks[-1]) - scale(tick) >= room * (1 - 1e-9):

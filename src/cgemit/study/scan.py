@@ -21,7 +21,7 @@ from cgemit.analysis.quantities import KINEMATICS, MAIN, QUANTITIES, REPORTED, m
 from cgemit.analysis.resolutions import FORMS, FormFit, fit_form
 from cgemit.analysis.widths import Resolution
 from cgemit.base.arrays import Floats
-from cgemit.base.errors import Problems
+from cgemit.base.errors import Problems, did_you_mean
 from cgemit.base.files import SUMMARY, new_folder
 from cgemit.base.validate import NO, check_numbers
 from cgemit.base.version import __version__
@@ -582,6 +582,10 @@ def _shots(
         )  # fmt: skip
     if key is None and any(isinstance(one, tuple) and len(values[axis]) > 1 for one in values.get(axis, ())):
         problems.note(axis, "a range in a list", "numbers")
+    if against is not None and key is None and len(only := values.get(axis, ())) == 1 and isinstance(only[0], tuple):
+        low, high = only[0]
+        expected = f'values, as in "{low:g}:{high:g}:5" or "{low:g},{high:g}"'
+        problems.note(axis, "a range, of which one row is a mixture", expected)
     designs, known = [detector], None
     if key is not None and isinstance(against, Mapping):
         known, designs = _varied(detector, key, against[key], problems)
@@ -606,6 +610,10 @@ def _varied(detector: Detector, key: str, given: Any, problems: Problems) -> tup
         return None, []
     pairs = [(detector, {key: value}) for value in values]
     wrong = key_problems(pairs) + value_problems(pairs)
+    if "." not in key:  # more likely meant as an angle or momentum
+        expected = f"one of {', '.join(KINEMATICS)}, or a key of the design such as cgem.*.pitch_x"
+        hint = did_you_mean(key, KINEMATICS)
+        wrong = [one._replace(expected=expected, hint=hint) if one.unknown else one for one in wrong]
     problems.extend(wrong)
     designs = [problems.collect(detector.with_overrides, {key: value}) for value in values] if not wrong else []
     header, (_, *cells) = axis_of(key, detector, values)

@@ -301,6 +301,16 @@ def test_a_map_has_the_numbers_of_python(tmp_path, capsys):
     assert json.loads((out / "run.json").read_text())["source"]["p"] == [0.3, 1.0]
 
 
+def test_a_key_goes_through_values_and_not_through_a_range(tmp_path, capsys):
+    words = ["resolution", "-d", DESIGN, "--method", "analytic", "-o", str(tmp_path / "out"), "--against"]
+    assert main([*words, "cgem.L1.pitch_x=300 um:400 um"]) == 2
+    said = "cgem.L1.pitch_x: got 300 um:400 um, a range; expected A,B,C or A:B:COUNT, such as 300 um:400 um:5"
+    assert said in capsys.readouterr().err
+    assert main([*words, "cgem.L1.pitch_x=300 um:400 um:x"]) == 2
+    assert "--against: cgem.L1.pitch_x: got 'x', expected a whole number" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_map_says_all_that_it_needs(tmp_path, capsys):
     words = ["resolution", "-d", DESIGN, "-d", IDC, "--map", "--p", "1", "--cos-theta", "0:0.5"]
     assert main([*words, "-o", str(tmp_path / "out")]) == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -372,6 +373,16 @@ def test_the_axis_of_a_picture_has_ticks_at_the_rows(given: Any, label: str, tic
     )
 
 
+def test_labels_of_ticks_do_not_overlap() -> None:
+    angles = np.radians(np.linspace(20, 160, 15))
+    picture = resolutions([scan_analytic("belle2-like", 1.0, theta=angles.tolist())])
+    for axes in picture.axes[: len(REPORTED)]:
+        np.testing.assert_allclose(sorted(axes.get_xticks()), angles[2::3])
+        axes.figure.canvas.draw()
+        boxes = sorted((one.get_window_extent().x0, one.get_window_extent().x1) for one in axes.get_xticklabels())
+        assert all(end < start for (_, end), (start, _) in itertools.pairwise(boxes))
+
+
 def test_a_range_is_a_mixture_and_said() -> None:
     found = scan(DESIGN, against={"theta": [1.0, 1.5]}, p=(0.3, 1.0), events=40, seed=2)
     assert found.fixed == "p = 0.3 to 1 GeV/c (mixture)"
@@ -398,6 +409,15 @@ def test_a_range_is_a_mixture_and_said() -> None:
         ({"against": {"cgem.L1.pitch_x": "400 um"}}, "cgem.L1.pitch_x: got '400 um', expected a list"),
         ({"against": {"cos_theta": [0.0, 1.5]}}, r"cos_theta\[1\]: got 1.5"),
         ({"p": 1.0, "cos_theta": [0.0, (0.1, 0.5)]}, "cos_theta: got a range in a list"),
+        (
+            {"against": {"cos_theta": (0.1, 0.5)}},
+            'cos_theta: got a range, of which one row is a mixture, expected values, as in "0.1:0.5:5" or "0.1,0.5"',
+        ),
+        ({"against": "p", "p": "0.3:1"}, "p: got a range, of which one row is a mixture"),
+        (
+            {"against": {"thteta": [0.5, 1.0]}},
+            r'thteta: got an unknown key, expected one of p, pt, cos_theta, .*pitch_x; did you mean "theta"\?',
+        ),
     ],
 )
 def test_what_a_scan_cannot_go_through_is_said(given: Any, text: str) -> None:
