@@ -183,14 +183,16 @@ def draw_curves(
         if not np.isfinite(curve.y).any():
             continue  # a legend must not name a curve that is not there
         (marker, colour), label = look_of[curve.detector], plain(curve.detector)
+        order = np.argsort(curve.x, kind="stable")  # rows are in the order asked for, lines never go back
+        x, y, error = curve.x[order], curve.y[order], curve.y_error[order]
         if curve.method == "analytic":
             # A single momentum is no line.
-            kind = "_" if len(curve.x) == 1 else "-"
-            axes.plot(curve.x, curve.y, kind, color=colour, lw=1.4, ms=16, mew=1.4, label=f"{label}, analytic")
+            kind = "_" if len(x) == 1 else "-"
+            axes.plot(x, y, kind, color=colour, lw=1.4, ms=16, mew=1.4, label=f"{label}, analytic")
             continue
         has_analytic = "analytic" in methods
         axes.errorbar(
-            curve.x, curve.y, curve.y_error, fmt=marker if has_analytic else f"{marker}-", color=colour, ms=5, lw=1.2,
+            x, y, error, fmt=marker if has_analytic else f"{marker}-", color=colour, ms=5, lw=1.2,
             mec="white", mew=0.5, elinewidth=1, label=f"{label}, simulated" if has_analytic else label,
         )  # fmt: skip
     if paper:

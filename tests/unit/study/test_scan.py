@@ -373,6 +373,17 @@ def test_the_axis_of_a_picture_has_ticks_at_the_rows(given: Any, label: str, tic
     )
 
 
+def test_lines_of_unordered_values_do_not_go_back() -> None:
+    given: Any = {"p": 0.6, "cos_theta": 0.1, "against": {"cgem.L1.pitch_x": ["400 um", "900 um", "600 um"]}}
+    lines, points = scan_analytic(DESIGN, **given), scan(DESIGN, **given, events=60)
+    assert lines.x.tolist() == [400, 900, 600]
+    for one, width in ((lines, lines.at("dr")), (points, points.line("dr").y)):
+        (axes, *_) = resolutions([one]).axes
+        drawn = axes.lines[0]
+        assert drawn.get_xdata().tolist() == [400, 600, 900]
+        assert drawn.get_ydata().tolist() == width[[0, 2, 1]].tolist()
+
+
 def test_labels_of_ticks_do_not_overlap() -> None:
     angles = np.radians(np.linspace(20, 160, 15))
     picture = resolutions([scan_analytic("belle2-like", 1.0, theta=angles.tolist())])
