@@ -164,10 +164,14 @@ def _parse(argv: list[str], arguments: argparse.Namespace) -> None:
         chosen = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
         command = cast(Parser, chosen[arguments.command])
         word = unknown[0].partition("=")[0]
-        hint = (
-            did_you_mean(word, command.options(), "; ") if word.startswith("-") else _flag_before(argv, word, command)
-        )
+        hint = _near_option(word, command) if word.startswith("-") else _flag_before(argv, word, command)
         command.error(f"got {' '.join(unknown)}, which it does not know{hint}")
+
+
+def _near_option(word: str, command: Parser) -> str:
+    """Return the nearest known option as a hint; the dashes, which all have, make none near."""
+    names = [option.removeprefix("--") for option in command.options() if option.startswith("--")]
+    return did_you_mean(word.lstrip("-"), names, "; ").replace('"', '"--', 1)
 
 
 def _flag_before(argv: list[str], word: str, command: Parser) -> str:

@@ -95,6 +95,17 @@ def test_bad_input_is_explained_with_exit_code_2(arguments, message, capsys, tmp
     assert list(tmp_path.iterdir()) == []
 
 
+def test_options_are_near_by_their_names_alone(capsys):
+    for words, hint in (
+        (["align", "--forecast", "--readout", "tiger"], "which it does not know ("),  # not --forecast
+        (["align", "--forcast"], 'which it does not know; did you mean "--forecast"? ('),
+        ([*RESOLUTION, "-o", "never", "--agianst", "p"], 'which it does not know; did you mean "--against"? ('),
+        ([*RESOLUTION, "-o", "never", "-p", "1"], 'did you mean "--p"?'),
+    ):
+        assert main(words) == 2
+        assert hint in capsys.readouterr().err
+
+
 def test_every_mistake_of_a_detector_file_is_listed(tmp_path, capsys):
     file = tmp_path / "wrong.toml"
     lines = [
