@@ -65,7 +65,7 @@ cg.draw.draw_hit_residuals(detector, cg.study.hit_residuals(result))
 
 # %%
 tracks = result.fitted
-fast = tracks[(tracks["p"] > 1.0) & (tracks["status"] == 0)]
+fast = tracks[tracks["p"] > 1.0]
 pairs = cg.fit_vertices(detector, fast, particles=("mu", "mu"))
 good = pairs[pairs["status"] == 0]
 masses = good["mass"][(good["mass"] > 2.9) & (good["mass"] < 3.3)]
