@@ -672,15 +672,18 @@ def _stack_of(value: Any) -> Any:
 def _changed_stack(rows: list[Any], changes: Mapping[str, Any]) -> list[Any]:
     """Return the rows of a stack with those changed that `changes` names by label; a new label is a row that is wrong.
 
-    A row without a label has its material's name for one.
+    A row without a label has its material's name for one. A change that is no table is a row that is wrong, too.
     """
-    changed, left = [], dict(changes)
-    for row in rows:
-        label = _label(row)
-        change = changes.get(str(label))
-        left.pop(str(label), None)
-        changed.append({"label": label, **opened(row), **change} if isinstance(change, Mapping) else row)
-    return changed + [{"label": label, **change} for label, change in left.items() if isinstance(change, Mapping)]
+
+    def laid(label: Any, row: Mapping[str, Any], change: Any) -> Any:
+        return {"label": label, **row, **change} if isinstance(change, Mapping) else change
+
+    labels = [str(_label(row)) for row in rows]
+    changed = [
+        laid(_label(row), opened(row), changes[label]) if label in changes else row
+        for label, row in zip(labels, rows, strict=True)
+    ]
+    return changed + [laid(label, {}, change) for label, change in changes.items() if label not in labels]
 
 
 def _label(row: Any) -> Any:

@@ -97,6 +97,15 @@ def test_sub_layers_of_a_stack_are_reached_by_label() -> None:
     ]  # fmt: skip
     file = cg.load({"base": "besiii-cgem-design", "cgem": {"L2": {"foil": {"Kapton": {"thickness": "25 um"}}}}})
     assert file.cgem[1] == found.cgem[1]
+    for key, value, text in (
+        ("cgem.L1.foil.Kapton", "25 um", r'cgem.L1.foil\[1\]: got "25 um", expected a table'),
+        ("cgem.L1.foil", {"Kapton": None}, r"cgem.L1.foil\[1\]: got None, expected a table"),
+        ("cgem.L1.foil", {"Steel": 5}, r"cgem.L1.foil\[3\]: got 5, expected a table"),
+        ("drift_chamber.layers.36.dead", {"3": 1}, r"dead\[0\]: got 1, expected a list"),
+        ("drift_chamber.layers.36.wires_east_shift_r", {"3": "1 mm"}, "got 1 values, expected"),
+    ):
+        with pytest.raises(DetectorError, match=text):
+            DESIGN.with_overrides({key: value})
 
 
 def test_a_variant_equals_the_detector_read_from_its_file() -> None:

@@ -312,7 +312,7 @@ class WireLayer(Placed, Bounded):
             given = f"{self.twist_cells:g} cells of {self.cells}"
             problems.append(Problem(f"{self.path}.twist_cells", given, "at most a quarter turn"))
         for name in WIRE_SHIFT:
-            if (n := len(getattr(self, f"wires_{name}"))) not in (0, self.cells):
+            if self.cells > 0 and (n := len(getattr(self, f"wires_{name}"))) not in (0, self.cells):
                 problems.append(Problem(f"{self.path}.wires_{name}", f"{n} values", f"{self.cells}, one for each wire"))
         for name in ("dead", "hot"):
             for i, (first, last) in enumerate(getattr(self, name)):
