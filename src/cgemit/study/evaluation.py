@@ -400,6 +400,9 @@ class Expectation:
             found = {at_gun(gun, name) for gun in guns if name == "d" or isinstance(at_gun(gun, name), tuple)} - {None}
             for value in found:
                 problems.note(name, text_of(value), f"{expected} with the analytic method")
+        turned = [at_gun(gun, "phi") for gun in guns]
+        if None in turned and any(one is not None for one in turned):
+            problems.note("phi", "all azimuths beside fixed ones", "one of these with the analytic method")
         problems.report("analytic")
         ranges = any(isinstance(at_gun(gun, name), tuple) for gun in guns for name in POLAR)
         mixed = _MIDDLES if ranges and (guns[0].cos_theta is None or guns[0].pt is not None) else 1
@@ -411,7 +414,6 @@ class Expectation:
                 p[:, i] = gun.pt / np.sqrt(1 - cosine[:, i] ** 2)
             else:
                 p[:, i] = np.array(gun.p, np.float64).reshape(-1, 1)
-        turned = [at_gun(gun, "phi") for gun in guns]
         phi = None if turned[0] is None else np.repeat(np.array(turned, np.float64)[:, None], mixed, axis=1)
         shape = (2, -1) if p[0].size > 1 else (2,)  # as of `cgemit.analytic`, one point is no array
         (p_low, p_high), (low, high) = p.reshape(shape), cosine.reshape(shape)

@@ -553,16 +553,20 @@ def _shots(
         if len(against) != 1:
             problems.note("against", f"{len(against)} keys", "one key with its values")
         for name, values in against.items():
-            if name not in KINEMATICS:
+            if not isinstance(name, str):
+                problems.note("against", f"the key {name!r:.60}", "a dotted key of the design")
+            elif name not in KINEMATICS:
                 axis = key = name
             elif name in given:
                 problems.note(f"against, {name}", "both", "one of them")
             else:
                 axis, given[name] = name, values
-    elif against is not None and against not in KINEMATICS:
-        problems.note(
-            "against", repr(against), f"one of {', '.join(KINEMATICS)}, or a key of the design with its values"
-        )
+    elif axis in KINEMATICS:
+        if axis not in given:
+            problems.note("against", f"{axis!r} alone", f"{axis} with its values")
+    elif against is not None:
+        expected = f"one of {', '.join(KINEMATICS)}, or a key of the design with its values"
+        problems.note("against", f"{against!r:.60}", expected)
     momenta = [name for name in MOMENTA if name in given]
     if len(momenta) > 1 or (not momenta and against is None):
         problems.note("p, pt", " and ".join(momenta) or "none", "exactly one of them")
@@ -586,6 +590,9 @@ def _shots(
         low, high = only[0]
         expected = f'values, as in "{low:g}:{high:g}:5" or "{low:g},{high:g}"'
         problems.note(axis, "a range, of which one row is a mixture", expected)
+    for name in several:
+        if len(set(values[name])) < len(values[name]):
+            problems.note(name, f"{values[name]!r:.60}", "each value once")
     designs, known = [detector], None
     if key is not None and isinstance(against, Mapping):
         known, designs = _varied(detector, key, against[key], problems)
@@ -608,6 +615,8 @@ def _varied(detector: Detector, key: str, given: Any, problems: Problems) -> tup
     if isinstance(values, str) or not isinstance(values, Sequence) or not len(values):
         problems.note(key, repr(given), "a list of at least one value")
         return None, []
+    if len({repr(value) for value in values}) < len(values):
+        problems.note(key, f"{values!r:.60}", "each value once")
     pairs = [(detector, {key: value}) for value in values]
     wrong = key_problems(pairs) + value_problems(pairs)
     if "." not in key:  # more likely meant as an angle or momentum

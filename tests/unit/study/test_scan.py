@@ -189,6 +189,8 @@ def test_analytic_lines_take_transverse_momenta_and_angles() -> None:
         assert spread == pytest.approx(core_width(each.reshape(1, -1)), rel=0.01)
     with pytest.raises(ValueError, match=r"pt: got 0\.5:1, expected fixed values with the analytic method"):
         scan_analytic(DESIGN, pt=(0.5, 1.0))
+    with pytest.raises(ValueError, match="phi: got all azimuths beside fixed ones"):
+        cg.study.Evaluation(phi=[(-np.pi, np.pi), 0.1])
     with pytest.raises(ValueError, match=r"phi: got the range \(0.0, 1.0\), expected numbers"):
         cg.analytic(DESIGN, phi=(0.0, 1.0))
 
@@ -412,6 +414,13 @@ def test_a_range_is_a_mixture_and_said() -> None:
     [
         ({"p": [0.3, 1.0], "cos_theta": [0.0, 0.5]}, "p, cos_theta: got lists, expected one list"),
         ({"p": [0.3, 1.0], "against": {"cgem.L1.pitch_x": ["400 um"]}}, "p: got lists beside cgem.L1.pitch_x"),
+        ({"against": "theta"}, "against: got 'theta' alone, expected theta with its values"),
+        ({"against": "cos_theta"}, "against: got 'cos_theta' alone"),
+        ({"p": 1.0, "against": "pt"}, "against: got 'pt' alone"),
+        ({"against": ["p"]}, r"against: got \['p'\], expected one of p, pt"),
+        ({"against": {3: ["400 um"]}}, "against: got the key 3, expected a dotted key"),
+        ({"p": [0.5, 0.5]}, r"p: got \[0.5, 0.5\], expected each value once"),
+        ({"against": {"cgem.L1.pitch_x": ["400 um", "400 um"]}}, "cgem.L1.pitch_x: got .*, expected each value once"),
         ({"against": "z"}, "against: got 'z', expected one of p, pt, cos_theta"),
         ({"against": {"theta": [1.0]}, "theta": 1.0}, "against, theta: got both"),
         ({"against": {"theta": [1.0], "eta": [1.0]}}, "against: got 2 keys"),
