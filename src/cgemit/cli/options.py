@@ -49,13 +49,16 @@ def values_of_key(text: str) -> list[Any]:
     from cgemit.study.sweep.space import split_range
 
     parts = [part.strip() for part in text.split(":")]
-    ends = split_range(literal(parts[0]), literal(parts[1])) if len(parts) in (2, 3) else None
+    given = [literal(part) for part in parts[:2]]
+    ends = split_range(*given) if len(parts) in (2, 3) else None
     if ends is not None and len(parts) == 2:
         raise argparse.ArgumentTypeError(f"got {text}, a range; expected A,B,C or A:B:COUNT, such as {text}:5")
     if ends is None or ends[0]:
         return [literal(part.strip()) for part in text.split(",")]
     count, (_, low, high, unit) = whole(parts[2], 2, 1000), ends
     steps = [low + (high - low) * i / (count - 1) for i in range(count)]
+    if all(isinstance(one, int) for one in given) and all(one.is_integer() for one in steps):
+        return list(map(int, steps))  # of keys such as cells
     return [f"{one:.10g} {unit}" if unit else float(f"{one:.10g}") for one in steps]
 
 

@@ -113,6 +113,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_free(arguments.output, overwrite=arguments.overwrite)
     against = _against(arguments)
+    if arguments.d is not None and arguments.method != "mc":
+        raise options.InputError(f"--d: got --method {arguments.method}; expected mc")
+    if arguments.p is None and arguments.pt is None and against is None:
+        raise options.InputError("got no --p or --pt; expected one of them, or --against AXIS=VALUES")
     detectors, settings = options.load_inputs(arguments, _guns, one_track=True)
     if arguments.map or arguments.budget or arguments.sensitivity:
         return _expected(arguments, detectors, settings, against)
@@ -132,6 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _against(arguments: argparse.Namespace) -> str | dict[str, list[Any]] | None:
     """Return what rows go through, as of `scan`, and set the option that `--against` gives the values of."""
     from cgemit.analysis.quantities import KINEMATICS
+    from cgemit.study.evaluation import MOMENTA, POLAR
 
     if arguments.against is None:
         return None
@@ -142,17 +147,17 @@ def _against(arguments: argparse.Namespace) -> str | dict[str, list[Any]] | None
         if not equals or not text:
             expected = f"one of {', '.join(KINEMATICS)}, or KEY=VALUES of the detector"
             raise options.InputError(f"--against: got {arguments.against!r}; expected {expected}")
-        try:
-            return {name: options.values_of_key(text)}
-        except argparse.ArgumentTypeError as error:
-            raise options.InputError(f"--against: {name}: {error}") from None
+    elif equals:
+        same = next((kind for kind in (MOMENTA, POLAR) if known in kind), (known,))
+        for other in [one for one in same if getattr(arguments, one) is not None]:
+            raise options.InputError(f"--against, --{other.replace('_', '-')}: got both; expected one of them")
     if equals:
-        if getattr(arguments, known) is not None:
-            raise options.InputError(f"--against, {option}: got both; expected one of them")
         try:
+            if known not in KINEMATICS:
+                return {name: options.values_of_key(text)}
             setattr(arguments, known, _READ[known](text))
         except argparse.ArgumentTypeError as error:
-            raise options.InputError(f"--against: {known}: {error}") from None
+            raise options.InputError(f"--against: {name}: {error}") from None
     elif getattr(arguments, known) is None:
         raise options.InputError(f"--against: got {name} alone; expected {name}=VALUES, or {option} VALUES beside it")
     return known
@@ -278,13 +283,9 @@ def _guns(arguments: argparse.Namespace) -> None:
     given = {name: getattr(arguments, name) for name in ("p", "pt", "cos_theta", "theta", "eta", "phi")}
     given = {name: value for name, value in given.items() if value is not None}
     if not given.keys() & {"p", "pt"}:
-        if arguments.against is None:
-            raise options.InputError("got no --p or --pt; expected one of them, or --against AXIS=VALUES")
         given["p"] = 1.0
     if not given.keys() & {"cos_theta", "theta", "eta"}:
         given["cos_theta"] = 0.0
-    if arguments.d is not None and arguments.method != "mc":
-        raise options.InputError(f"--d: got --method {arguments.method}; expected mc")
     for particle in arguments.particle or ["mu-"]:
         Gun(particle, **given)
 

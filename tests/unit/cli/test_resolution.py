@@ -12,6 +12,7 @@ from cgemit.analysis.curves import Line
 from cgemit.analysis.quantities import REPORTED
 from cgemit.chain.settings import Settings
 from cgemit.cli.main import main
+from cgemit.cli.options import values_of_key
 from cgemit.draw.curves import draw_resolutions
 from cgemit.reconstruction.fit import FitSettings
 from cgemit.simulation.digitize import DigitizeSettings
@@ -373,3 +374,33 @@ def test_budgets_say_all_that_they_need(tmp_path, capsys):
     assert main([*words, "--budget", "p"]) == 2  # over the default range of angles
     assert "expected fixed values" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--p", "1", "--d", "5"], "--d: got --method analytic; expected mc"),
+        (["--against", "d=0,10"], "--d: got --method analytic; expected mc"),
+        (["--budget", "dr"], "got no --p or --pt; expected one of them, or --against AXIS=VALUES"),
+        (["--p", "1", "--budget", "dr", "--against", "pt=1,2"], "--against, --p: got both"),
+        (["--p", "1", "--cos-theta", "0", "--budget", "dr", "--against", "theta=1,2"],
+         "--against, --cos-theta: got both"),
+        (["--against", "cgem.*.pitch_x=300 um:900 um:1"], "--against: cgem.*.pitch_x: got '1', expected a whole"),
+        (["--against", "theta"], "--against: got theta alone"),
+        (["--against", "theta=x"], '--against: theta: got "x", expected an angle'),
+    ],
+)  # fmt: skip
+def test_what_rows_cannot_go_through_is_said(words, text, tmp_path, capsys):
+    """Nothing of it is left out without a word, as an origin of tracks that the analytic method does not know."""
+    for method in ("analytic", "both") if "--budget" not in words else ("analytic",):
+        here = [*words, "--method", method, "--events", "20", "-o", str(tmp_path / method), "--quiet"]
+        assert main(["resolution", "-d", "besiii-cgem-design", *here]) == 2
+        assert text.replace("analytic", method) in capsys.readouterr().err
+        assert not (tmp_path / method).exists()
+
+
+def test_keys_of_whole_numbers_have_whole_numbers():
+    assert values_of_key("76:80:3") == [76, 78, 80]
+    assert all(isinstance(one, int) for one in values_of_key("76:80:3"))
+    assert values_of_key("1:2:3") == [1.0, 1.5, 2.0]
+    assert values_of_key("0.5 T:1 T:2") == ["0.5 T", "1 T"]
