@@ -204,7 +204,8 @@ def constants_in(constants: object, source: str) -> dict[str, float]:
         return constants.values()
     numbers = constants.items() if isinstance(constants, Mapping) else ()
     if not isinstance(constants, Mapping) or not all(
-        isinstance(name, str) and isinstance(value, int | float | np.number) for name, value in numbers
+        isinstance(name, str) and isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        for name, value in numbers
     ):
         expected = "a table of constants, its path, or numbers by name"
         raise DetectorError(source, [Problem("with_alignment", type(constants).__name__, expected)])

@@ -183,6 +183,8 @@ def test_single_wires():
         DESIGN.with_overrides({f"{path}.wires_east_shift_r": ["1 mm", "0 mm", "0 mm"]})
     with pytest.raises(DetectorError, match=r"wires_west_shift_phi.*from -2 to 2"):
         DESIGN.with_alignment({f"{path}.wires.0.west_shift_phi": 2.5})
+    with pytest.raises(DetectorError, match="got dict, expected a table of constants, its path, or numbers"):
+        DESIGN.with_alignment({f"{path}.wires.0.east_shift_r": True})
     with pytest.raises(DetectorError, match=rf"wires\.{layer.cells}\."):
         DESIGN.with_alignment({f"{path}.wires.{layer.cells}.east_shift_r": 0.1})
 
