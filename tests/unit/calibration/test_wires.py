@@ -109,7 +109,7 @@ def test_shifts_of_all_wires_of_a_layer_are_those_of_the_layer() -> None:
 
 
 def test_matrices_in_blocks() -> None:
-    """A product, the solution and the diagonal of the inverse of the small chamber, as those of dense matrices."""
+    """A product with the matrix of the small chamber, and its diagonal, as those of dense matrices."""
     _, sums = sums_of_small()
     assert isinstance(sums.normal, Blocks)
     assert len(sums.normal.first) == 5
