@@ -113,7 +113,9 @@ def goal_of(path: str, text: Any, momenta: Sequence[Any], problems: Problems) ->
     fixed = [one for one in momenta if not isinstance(one, tuple)]
     near = [one for one in fixed if math.isclose(one, p, rel_tol=1e-9)]
     if name not in QUANTITIES or not near:
-        expected = "no momentum" if name not in QUANTITIES else "one of p: " + ", ".join(f"{one:g}" for one in fixed)
+        listed = ", ".join(f"{one:g}" for one in fixed)
+        choice = f"one of p: {listed}" if fixed else "no momentum: p has no fixed values"
+        expected = choice if name in QUANTITIES else "no momentum"
         problems.note(path, repr(text), expected)
         return None
     return Goal(text, name, near[0])

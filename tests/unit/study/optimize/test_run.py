@@ -439,6 +439,9 @@ def test_every_problem_is_listed_at_once() -> None:
         "evaluate.events: got 0", "search.tolerance: got 2",
     ):  # fmt: skip
         assert part in text, part
+    for given in ({"p": (0.3, 1.0)}, {"pt": 0.3}):
+        with pytest.raises(PlanError, match=r"'dr @ 0\.3', expected no momentum: p has no fixed values"):
+            optimize(DESIGN, {"cgem.L1.pitch_x": ("400 um", "650 um")}, "dr @ 0.3", evaluate=Evaluation(**given))
 
 
 def test_an_optimum_with_charge_and_time_has_the_resolution_of_its_design() -> None:
