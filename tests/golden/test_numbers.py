@@ -23,7 +23,7 @@ from cgemit.base.version import PHYSICS
 
 FOLDER = Path(__file__).parent / "numbers"
 #: Hash of the files for the present physics version, and for those that were released.
-VERSIONS = {33: "bfdcb991df6f547e"}
+VERSIONS = {33: "2c3e36cbff919265"}
 DESIGN = "besiii-cgem-design"
 MUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))
 DIMUONS = cg.Gun("mu-", p=(0.3, 1.5), cos_theta=(-0.9, 0.9)) + cg.Gun("mu+", p=(0.3, 1.5), cos_theta=(-0.9, 0.9))

@@ -212,6 +212,7 @@ bool Follower::choose_clusters(const Branch& best) {
     gap_view(step, View::x, {});
     gap_view(step, View::v, {});
   }
+  add_collected_noise();
   // The particle may come from behind the layers that it misses last.
   const Branch* chosen = nullptr;
   double most = 0;
